@@ -13,7 +13,7 @@ PARALLEL := --numprocesses=3 --dist=loadfile --no-loadscope-reorder
 # The tests start hundreds of processes: each must find its modules compiled, whatever the shell's setting.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test pytest proof check compile games agents coverage screenshots vectors bench docs release clean
+.PHONY: help demo test pytest proof check compile games agents coverage screenshots bench docs release clean
 
 help:
 	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
@@ -22,7 +22,6 @@ help:
 	@echo "make check  ruff and mypy, also on the programs of README and the pages"
 	@echo "make coverage  which lines and branches the tests reach, in every process that they start"
 	@echo "make screenshots  take the pictures of glue-view: docs/images/view-*.png; needs chromium, its driver and selenium"
-	@echo "make vectors  write glue/testing/vectors.json from the examples of docs/protocol-reference.md"
 	@echo "make docs   build the site of documents: build/site/index.html"
 	@echo "make release  check version, changelog and tag, and build and prove the distributions: build/dist"
 	@echo "make bench  measure, and write docs/performance.md"
@@ -77,9 +76,6 @@ coverage: compile
 
 screenshots: $(READY)
 	$(BIN)/python -m tests.experiment_runner.view.browser.screenshots
-
-vectors: $(READY)
-	$(BIN)/python -m tests.glue.testing.vectors
 
 docs: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

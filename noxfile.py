@@ -118,9 +118,9 @@ def interpreters() -> list[str]:
     found = []
     for version in PYTHONS:
         pyenv = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
-        for candidate in (*map(str, pyenv), shutil.which(f"python{version}")):
+        for candidate in filter(None, (*map(str, pyenv), shutil.which(f"python{version}"))):
             asked = [candidate, "-c", "import sys; print(*sys.version_info[:2], sep='.')"]
-            if candidate and subprocess.run(asked, capture_output=True, text=True).stdout.strip() == version:
+            if subprocess.run(asked, capture_output=True, text=True).stdout.strip() == version:
                 found.append(candidate)
                 break
     return found

@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 from benchmarks.measure import Table, count, medians, ratio
-from benchmarks.players import SIZES, serving
+from benchmarks.players import SIZES, Still, Walk, serving
 from glue.client.experiment import connect
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
-from tests.system.legacy.legacy_client import Connection, Experiment, Numbers, serve_agent, serve_environment
+from tests.system.legacy.legacy_client import Connection, Experiment, play_agent, play_environment
 
 _STEPS = 5000
 _SESSION = "0"
@@ -95,58 +95,12 @@ def _per_second(episode: Callable[[], object]) -> float:
     return _STEPS / (time.perf_counter() - began)
 
 
-class _Still:
-    """Does the same thing for ever."""
-
-    def init(self, task_spec: str) -> None:
-        pass
-
-    def start(self, observation: Numbers) -> Numbers:
-        return Numbers((1,))
-
-    def step(self, reward: float, observation: Numbers) -> Numbers:
-        return Numbers((1,))
-
-    def end(self, reward: float) -> None:
-        pass
-
-    def cleanup(self) -> None:
-        pass
-
-    def message(self, message: str) -> str:
-        return message
-
-
-class _Walk:
-    """Shows the same observation for ever."""
-
-    def __init__(self, observation: Numbers) -> None:
-        self._observation = observation
-
-    def init(self) -> str:
-        return "benchmark"
-
-    def start(self) -> Numbers:
-        return self._observation
-
-    def step(self, action: Numbers) -> tuple[float, Numbers, int]:
-        return 1.0, self._observation, 0
-
-    def cleanup(self) -> None:
-        pass
-
-    def message(self, message: str) -> str:
-        return message
-
-
 def _main(port: str, size: str, role: str) -> None:
     connection = Connection(int(port))
     if role == "agent":
-        serve_agent(_Still(), connection)
+        play_agent(Still(), connection)
     else:
-        seen = SIZES[size]
-        numbers = Numbers(tuple(seen.ints.tolist()), tuple(seen.doubles.tolist()), seen.chars)
-        serve_environment(_Walk(numbers), connection)
+        play_environment(Walk(SIZES[size]), connection)
 
 
 if __name__ == "__main__":

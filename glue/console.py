@@ -118,7 +118,7 @@ def show_failure(error: BaseException) -> None:
         trace = trace.tb_next
     lines = traceback.format_exception(type(error), error, trace or error.__traceback__)
     shown = [line if len(line) <= _MOST_LETTERS else f"{line[:_MOST_LETTERS]}...\n" for line in lines]
-    say("".join(shown).removesuffix("\n"))
+    say("".join(shown).removesuffix("\n").encode("utf-8", "backslashreplace").decode())
 
 
 def _package(variables: dict[str, object]) -> str:

@@ -21,6 +21,7 @@ from hypothesis import settings
 
 FOLDERS: Final = {
     "agents/soar": "soar",
+    "agents/test_ppo.py": "studies",
     "clients": "clients",
     "experiment_runner/loggers": "loggers",
     "experiment_runner/study": "studies",

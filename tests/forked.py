@@ -18,7 +18,7 @@ import tempfile
 import threading
 import traceback
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
@@ -141,17 +141,22 @@ class _Child(subprocess.Popen[bytes]):
         with warnings.catch_warnings(
             action="ignore", category=DeprecationWarning
         ):  # this process has threads
+            # Otherwise this process's handlers might run in the other one, with a copy of its stack.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
             pid = os.fork()
         if not pid:
-            os._exit(_become(module, arguments, reader, pass_fds))
+            os._exit(_become(module, arguments, reader, pass_fds, before))
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         os.close(reader)
         self.pid, self.args, self.returncode = pid, [module, *arguments], None
         self.stdin, self.stdout, self.stderr = os.fdopen(writer, "wb", 0), None, None
         self._child_created, self._waitpid_lock = True, threading.Lock()
 
 
-def _become(module: str, arguments: Sequence[str], stdin: int, pass_fds: Sequence[int]) -> int:
-    """Run a module in this process, just forked; return its exit status."""
+def _become(
+    module: str, arguments: Sequence[str], stdin: int, pass_fds: Sequence[int], mask: Collection[int]
+) -> int:
+    """Run a module in this process, just forked with signals blocked; return its exit status."""
     os.setpgid(0, 0)
     os.dup2(stdin, 0)
     for number in map(int, os.listdir("/proc/self/fd")):
@@ -161,6 +166,7 @@ def _become(module: str, arguments: Sequence[str], stdin: int, pass_fds: Sequenc
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     warnings.filterwarnings("ignore", category=RuntimeWarning, module="runpy")  # it was imported already
     sys.argv = [module, *arguments]
     try:
@@ -201,7 +207,7 @@ def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Se
     # Python reads the variable only at start-up.
     sys.path[:0] = filter(None, env.get("PYTHONPATH", "").split(os.pathsep))
     os.chdir(cwd)
-    children.spawn = _Child  # type: ignore[attr-defined]
+    vars(children)["spawn"] = _Child
     sys.argv = [str(BIN / command[0]), *command[1:]]
     runpy.run_path(sys.argv[0], run_name="__main__")
     return 0

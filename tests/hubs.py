@@ -38,7 +38,7 @@ def _serve(player: Any, url: str) -> None:
 @contextmanager
 def hub_with(*players: Players, bind: str = "tcp://127.0.0.1:*") -> Iterator[str]:
     """Serve players at a hub; yield its address."""
-    hub = Hub(HubConfig(bind=(bind,)))
+    hub = Hub(HubConfig(bind=(bind,), greeting=60.0))
     with serving(hub.endpoints[0], *players), hub.in_background():
         yield hub.endpoints[0]
 

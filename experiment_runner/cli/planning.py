@@ -143,3 +143,4 @@ def own_directory(given: Path | None, name: str) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             path.rmdir()
+            path.parent.rmdir()

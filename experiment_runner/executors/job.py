@@ -172,7 +172,7 @@ def run_job(
                 lambda *player: send_alone(Joined(*player)),
                 lambda hub, session: send_alone(Met(hub, session)),
             ) as glue,
-            _watched(glue, sender, send_alone),
+            watched(glue, lambda: sender.done, send_alone),
         ):
             run_trial(
                 glue,
@@ -201,20 +201,27 @@ def run_job(
 
 
 @contextmanager
-def _watched(
-    glue: Experiment, sender: _Sender, send: Callable[[Report], None], seconds: float = _LONG_SECONDS
+def watched(
+    glue: Experiment, done: Callable[[], int], send: Callable[[Report], None], seconds: float = _LONG_SECONDS
 ) -> Iterator[None]:
-    """Report, every so many seconds in which no episode ended, how far the one under way is."""
+    """Report, as often as no episode has ended for so many seconds, how far the one under way is.
+
+    Args:
+        glue: plays in this thread.
+        done: returns the number of finished episodes.
+        send: called with each `Playing`, in another thread.
+        seconds: between two looks.
+    """
     over = threading.Event()
 
     def watch() -> None:
-        before = sender.done
+        before = done()
         while not over.wait(seconds):
-            done, steps = sender.done, glue.steps_under_way()
-            if done == before and steps != 0:  # 0: it is still being initialised
+            now, steps = done(), glue.steps_under_way()
+            if now == before and steps != 0:  # 0: it is still being initialised
                 with suppress(OSError, KeyboardInterrupt):  # nobody reads the reports any more
-                    send(Playing(done + 1, steps))
-            before = done
+                    send(Playing(now + 1, steps))
+            before = now
 
     watcher = threading.Thread(target=watch, name="watcher", daemon=True)
     watcher.start()

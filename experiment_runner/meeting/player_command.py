@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def _serve(role: Role, player: Any, settings: Mapping[str, Any]) -> None:
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # from now on there is something to clean up
+    signal.signal(signal.SIGTERM, _interrupt)  # from now on there is something to clean up
     leave_printing_to_others()
     LOG.disabled = True  # our parent reports instead
     if role is Role.AGENT:
@@ -96,6 +96,10 @@ def _fail(error: GlueError) -> NoReturn:
 
 def _end(number: int, frame: FrameType | None) -> NoReturn:
     os._exit(_TERMINATED)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

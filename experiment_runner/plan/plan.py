@@ -198,7 +198,8 @@ class Plan:
             )
         if self.seeds not in get_args(Seeds):
             raise SettingError(f"seeds must be 'number' or 'id', not {shown(self.seeds)}", "seeds")
-        for player in self.inside:
+        listed: Iterable[object] = self.inside  # of a plan from a file
+        for player in listed:
             if not isinstance(player, str) or player not in PLAYERS:
                 raise SettingError(f"inside lists any of {', '.join(PLAYERS)}, not {shown(player)}", "inside")
         for role in ROLES:

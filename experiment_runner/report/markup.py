@@ -9,7 +9,8 @@ from typing import Final, NamedTuple
 from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import FEW_TRIALS, has_scipy
 from experiment_runner.report.overview import FEW, setting_numbers
-from experiment_runner.report.tables import counted, one_line
+from experiment_runner.report.tables import counted
+from glue.console import one_line
 from glue.errors import ExperimentError
 
 _RETURN: Final = "mean return"  # the only column's title, if the environment has no name
@@ -66,7 +67,7 @@ def _cell(numbers: dict[str, object], markup: Markup) -> str:
 
 
 def _notes(settings: Sequence[Setting], numbers: Sequence[dict[str, object]], over: str) -> list[str]:
-    counts = sorted({len(setting.trials) for setting in settings})
+    counts = sorted({len(setting.counted()) for setting in settings})
     trials = counted(counts[0], "trial") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} trials"
     part = "last 100 episodes" if over == "episodes" else "last tenth of the steps"
     notes = [f"Mean over {trials} of the mean return of the {part}"]
@@ -74,8 +75,11 @@ def _notes(settings: Sequence[Setting], numbers: Sequence[dict[str, object]], ov
         notes[0] += ", with its 95 % bootstrap interval"
     if any(row["few_trials"] for row in numbers):
         notes.append(f"{FEW.strip()} of fewer than {FEW_TRIALS} trials: the interval may well miss the mean")
-    if unfinished := sum(not trial.finished for setting in settings for trial in setting.trials):
-        notes.append(f"{counted(unfinished, 'trial')} not finished")
+    left = [trial for setting in settings for trial in setting.trials if not trial.finished]
+    if failed := sum(trial.failure is not None for trial in left):
+        notes.append(f"{counted(failed, 'failed trial')} left out")
+    if len(left) > failed:
+        notes.append(f"{counted(len(left) - failed, 'trial')} not finished")
     return [f"{note}." for note in notes]
 
 

@@ -73,6 +73,7 @@ def draw(
     axes: tuple[str, str],
     size: tuple[int, int] = (480, 300),
     log: tuple[bool, bool] = (False, False),
+    looks: Sequence[int] = (),
 ) -> dict[str, Any]:
     """Return a drawing as JSON.
 
@@ -81,6 +82,7 @@ def draw(
         axes: the labels of the two axes.
         size: width and height in pixels.
         log: whether each axis is logarithmic.
+        looks: the number of each line's color and dashes, as in `sample`; empty for that of the line.
 
     Returns:
         `svg`, and for programs that relate pixels to numbers: `box`, the left, top, width and height of the
@@ -98,7 +100,11 @@ def draw(
         f'<svg xmlns="http://www.w3.org/2000/svg" class="drawing" viewBox="0 0 {width} {height}" '
         f'width="{width}" height="{height}">',
         *_axes(box, across, up, place, axes),
-        *(part for number, line in enumerate(lines) for part in _curve(number, line, place)),
+        *(
+            part
+            for number, (look, line) in enumerate(zip(looks or range(len(lines)), lines, strict=True))
+            for part in _curve(number, look, line, place)
+        ),
         "</svg>",
     ]
     return {"svg": "".join(parts), "box": box, "x": across._asdict(), "y": up._asdict()}
@@ -117,11 +123,11 @@ def _look(number: int) -> str:
     return f'class="curve c{number % _COLORS}"' + (f' stroke-dasharray="{dashes}"' if dashes else "")
 
 
-def _curve(number: int, line: Line, place: _Place) -> Iterator[str]:
+def _curve(number: int, look: int, line: Line, place: _Place) -> Iterator[str]:
     yield f'<g class="trials" data-curve="{number}">'
     for values in line.singles:
         for points in _runs(line.single_at, values, place):
-            yield f'<polyline class="curve single c{number % _COLORS}" points="{points}"/>'
+            yield f'<polyline class="curve single c{look % _COLORS}" points="{points}"/>'
     yield "</g>"
     band = [
         (x, low, high)
@@ -131,9 +137,9 @@ def _curve(number: int, line: Line, place: _Place) -> Iterator[str]:
     if band:
         edge = [(x, high) for x, _, high in band] + [(x, low) for x, low, _ in reversed(band)]
         points = " ".join(_point(*place(x, y)) for x, y in edge)
-        yield f'<polygon class="band c{number % _COLORS}" points="{points}"/>'
+        yield f'<polygon class="band c{look % _COLORS}" points="{points}"/>'
     for points in _runs(line.at, line.mean, place):
-        yield f'<polyline {_look(number)} points="{points}"/>'
+        yield f'<polyline {_look(look)} points="{points}"/>'
 
 
 def _runs(at: Sequence[float], values: Numbers, place: _Place) -> Iterator[str]:

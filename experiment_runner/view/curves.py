@@ -22,6 +22,8 @@ from glue.errors import ExperimentError
 from glue.suggestions import did_you_mean
 
 _HEIGHT: Final = 420  # of a drawing, in pixels
+_TWO: Final = 700  # from this width on, two drawings stand side by side
+_GAP: Final = 16
 _WIDEST: Final = 1_000_000_000
 _MOST_NUMBERS: Final = 8000  # of the single trials of a curve, at some 20 bytes each
 
@@ -79,14 +81,14 @@ def curves(wanted: Wanted) -> dict[str, Any]:
     drawn = [(setting, _curve(setting, window, wanted, rng)) for setting in begun]
     return {
         "window": window,
-        "curves": [_as_json(setting.label, curve) for setting, curve in drawn if curve is not None],
+        "curves": [_as_json(setting, curve) for setting, curve in drawn if curve is not None],
         "settings": table,
         **shown,
     }
 
 
 def drawn(found: dict[str, Any], over: str, look: Look) -> dict[str, Any]:
-    """Return curves with their drawing, and a sample of each line for the legend.
+    """Return curves with a drawing for each environment, and a sample of each line for the legend.
 
     Args:
         found: the result of `curves`.
@@ -94,16 +96,25 @@ def drawn(found: dict[str, Any], over: str, look: Look) -> dict[str, Any]:
         look: the size and scales of the drawing.
     """
     shown = [curve for curve in found["curves"] if curve["at"]]
-    lines = [svg.Line(*(curve[name] for name in svg.Line._fields)) for curve in shown]
+    agents = list(dict.fromkeys(curve["agent"] for curve in shown))
+    looks = [agents.index(curve["agent"]) for curve in shown]
+    environments = list(dict.fromkeys(curve["environment"] for curve in shown))
+    width = look.width if len(environments) < 2 or look.width < _TWO else (look.width - _GAP) // 2
     measure = MEASURES.get(found["measure"])
     axes = (over[:-1], measure.label) if measure else ("step", found["measure"])
+    drawings = []
+    for environment in environments:
+        here = [number for number, curve in enumerate(shown) if curve["environment"] == environment]
+        lines = [svg.Line(*(shown[number][name] for name in svg.Line._fields)) for number in here]
+        drawing = svg.draw(lines, axes, (width, _HEIGHT), look.log, [looks[number] for number in here])
+        drawings.append({"environment": environment, "curves": here, **drawing})
     return {
         **found,
-        "drawing": svg.draw(lines, axes, (look.width, _HEIGHT), look.log) if lines else None,
+        "drawings": drawings,
         "curves": [
             {name: value for name, value in curve.items() if name not in ("single_at", "singles")}
             | {"sample": svg.sample(number)}
-            for number, curve in enumerate(shown)
+            for number, curve in zip(looks, shown, strict=True)
         ],
     }
 
@@ -135,12 +146,14 @@ def _window(wanted: Wanted, begun: Sequence[Setting]) -> int:
     return step_window(wanted.window, [setting.step_totals() for setting in begun])
 
 
-def _as_json(label: str, curve: Curve) -> dict[str, Any]:
+def _as_json(setting: Setting, curve: Curve) -> dict[str, Any]:
     trials, points = curve.means.shape
     every = -(-points // max(1, min(points, _MOST_NUMBERS // trials)))
     single = range(0, points, every) if 2 * trials <= _MOST_NUMBERS else range(0)
     return {
-        "label": label,
+        "label": setting.label,
+        "agent": setting.agent,
+        "environment": setting.environment,
         "trials": trials,
         "at": curve.at.tolist(),
         "mean": _numbers(curve.band.value),

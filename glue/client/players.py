@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 from glue.client.answers import ServedPlayer
 from glue.client.link import Link
 from glue.client.target import Target, find_target
+from glue.client.transport import Transport
 from glue.console import LOG, reporting, show_failure
 from glue.doors import threads
 from glue.errors import GlueError, HubClosed, PeerFailed, Refused, described
@@ -98,10 +99,11 @@ def _serve(
     context: Context | None,
     stop: threads.Event | None,
     name: str | None,
+    transport: Transport | None = None,
 ) -> str:
     served = {session: ServedPlayer(role, player, name) for session, player in players.items()}
     names = {session: (player.name, player.capabilities) for session, player in served.items()}
-    link = Link(role, target.hub, names, wait, context, key=target.key)
+    link = Link(role, target.hub, names, wait, context, transport, target.key)
     reason = "interrupted"
     message: Message | None = None
 

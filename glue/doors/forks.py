@@ -15,8 +15,9 @@ from glue.names import NAMES
 
 def _forget_handlers() -> None:
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
-        module = getattr(signal.getsignal(number), "__module__", None) or ""
-        if module.partition(".")[0] in NAMES:
+        variables = getattr(signal.getsignal(number), "__globals__", {})
+        # Not `__module__`, which is `__main__` in our workers and players.
+        if (variables.get("__package__") or "").partition(".")[0] in NAMES:
             usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
             signal.signal(number, usual)
             signal.set_wakeup_fd(-1)  # the parent's

@@ -69,6 +69,8 @@ class Engine:
         total_reward: undiscounted sum of the rewards since the last start.
         num_steps: 0 after init, 1 after start, one more with each step that did not end the episode.
         num_episodes: episodes that reached a terminal step, with agent_end called, since the last init.
+        given: the body of the verb that is being carried out; None while idle.
+        observation: the last observation of that verb; None while idle.
         asked: the outstanding call; None while idle.
         awaiting: the kind of `asked`.
         verb: the experiment's verb that is being carried out; None while idle.
@@ -80,6 +82,8 @@ class Engine:
         self.total_reward: float = 0.0
         self.num_steps: int = 0
         self.num_episodes: int = 0
+        self.given: Any = None
+        self.observation: Any = None
         self.asked: Instruction | None = None
         self.awaiting: Kind | None = None
         self.verb: Kind | None = None
@@ -107,6 +111,7 @@ class Engine:
         if self._void is not None and verb in EPISODE_VERBS:
             raise PeerLost(f"the episode is void: {self._void}; start another")
         self.verb = verb
+        self.given = body
         self._running = running = run(self, scalars, body)
         try:
             instruction = next(running)
@@ -135,7 +140,7 @@ class Engine:
     def _reply(self, reply: Reply) -> Instruction:
         verb = self.verb
         assert verb is not None
-        self._running = self.asked = self.verb = self.awaiting = None
+        self._running = self.asked = self.verb = self.awaiting = self.given = self.observation = None
         return _instruction(Instruction, (verb, *reply))
 
     def _asking(self, instruction: Instruction) -> Instruction:
@@ -149,7 +154,15 @@ class Engine:
         """Forget the verb that is being carried out, if any; counters stay as they are."""
         if self._running is not None:
             self._running.close()
-        self._running = self.asked = self.verb = self.awaiting = None
+        self._running = self.asked = self.verb = self.awaiting = self.given = self.observation = None
+
+    @property
+    def bodies(self) -> tuple[Any, ...]:
+        """The bodies that the engine keeps, that of the outstanding call among them; None for none.
+
+        The verbs keep no bodies in variables of their own, so that a host can account for the memory.
+        """
+        return self.task_spec, self.last_action, self.given, self.observation
 
     @property
     def in_episode(self) -> bool:
@@ -186,15 +199,12 @@ class Engine:
         """Initialise a new player as RL_init did the previous one, then continue from `instruction`."""
         if role is Role.AGENT:
             yield from self._init_agent()
-        else:
-            before = self.task_spec
-            yield from self._init_environment()
-            if self.task_spec != before:
-                self._uninitialised.add(Role.AGENT)
-        reply = yield instruction
+        elif (yield from self._init_environment()):
+            self._uninitialised.add(Role.AGENT)
         try:
             while True:
-                reply = yield verb.send(reply)
+                reply = yield instruction
+                instruction = verb.send(reply)
         except StopIteration as stop:
             outcome: Reply = stop.value
             return outcome
@@ -212,11 +222,15 @@ class Engine:
         self.num_episodes = 0
         return _NO_SCALARS, self.task_spec
 
-    def _init_environment(self) -> Generator[Instruction, Reply, None]:
+    def _init_environment(self) -> Generator[Instruction, Reply, bool]:
+        """Initialise the environment; return whether it has another task spec than the one before."""
         if self._seed is not None:
             yield Instruction(Kind.ENV_SEED, (role_seed(self._seed, Role.ENVIRONMENT),))
-        _, self.task_spec = yield Instruction(Kind.ENV_INIT)
+        _, task_spec = yield Instruction(Kind.ENV_INIT)
+        differs: bool = task_spec != self.task_spec
+        self.task_spec = task_spec
         self._uninitialised.discard(Role.ENVIRONMENT)
+        return differs
 
     def _init_agent(self) -> Generator[Instruction, Reply, None]:
         if self._seed is not None:
@@ -225,14 +239,13 @@ class Engine:
         self._uninitialised.discard(Role.AGENT)
 
     def _start(self, _: tuple[Any, ...], __: Any) -> Verb:
-        _, observation = yield from self._env_start(_NO_SCALARS, None)
-        _, action = yield Instruction(Kind.AGENT_START, _NO_SCALARS, observation)
-        self.last_action = action
-        return _NO_SCALARS, (observation, action)
+        _, self.observation = yield from self._env_start(_NO_SCALARS, None)
+        _, self.last_action = yield Instruction(Kind.AGENT_START, _NO_SCALARS, self.observation)
+        return _NO_SCALARS, (self.observation, self.last_action)
 
     def _step(self, _: tuple[Any, ...], __: Any) -> Verb:
         self._started = True
-        scalars, observation = yield Instruction(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
+        scalars, self.observation = yield Instruction(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
         reward, terminal = scalars
         self.total_reward += reward
         if terminal:
@@ -242,8 +255,8 @@ class Engine:
             self.num_episodes += 1
         else:
             self.num_steps += 1
-            _, self.last_action = yield Instruction(Kind.AGENT_STEP, (reward,), observation)
-        return scalars, (observation, self.last_action)
+            _, self.last_action = yield Instruction(Kind.AGENT_STEP, (reward,), self.observation)
+        return scalars, (self.observation, self.last_action)
 
     def _episode(self, scalars: tuple[Any, ...], _: Any) -> Verb:
         """Start, then step to the end or to the limit; the loop is `_step`, inlined.
@@ -254,7 +267,7 @@ class Engine:
         if len(scalars) == 1:
             yield from self._start(_NO_SCALARS, None)
         while max_steps == 0 or self.num_steps < max_steps:
-            (reward, terminal), observation = yield _instruction(
+            (reward, terminal), self.observation = yield _instruction(
                 Instruction, (_ENV_STEP, _NO_SCALARS, self.last_action)
             )
             self.total_reward += reward
@@ -265,7 +278,7 @@ class Engine:
                     self.num_episodes += 1
                     return (True,), None
             self.num_steps += 1
-            _, self.last_action = yield _instruction(Instruction, (_AGENT_STEP, (reward,), observation))
+            _, self.last_action = yield _instruction(Instruction, (_AGENT_STEP, (reward,), self.observation))
             if terminal:
                 return (CUT_OFF,), None
         # Cut off: agent_end is not called and the episode is not counted.

@@ -96,7 +96,7 @@ class Bind:
         """Return a line that says where the hub listens, and who else can join there."""
         who = self.warning
         return f"listening on {endpoint}" + (
-            f": open to {who}, unless keys say who may join (glue-keys)" if who else ""
+            f" (open to {who}, unless keys say who may join: glue-keys)" if who else ""
         )
 
     def admits(self, role: Role, session: str) -> bool:
@@ -153,6 +153,10 @@ class HubConfig:
             By default a quarter of the machine's memory.
         insecure: allow addresses without keys that other machines can reach. Peers are not authenticated.
         time: limits of the agent in every session; None for none.
+        greeting: seconds that a connection may stay without a seat in a session; then it is dropped, at the
+            next heartbeat.
+        farewell: maximum number of seconds that the hub waits, when it ends, for its last messages to be read
+            and for its last log lines to be written.
 
     Raises:
         ConfigError: an address is malformed, or reachable by others without `insecure`; a time or a limit is
@@ -167,6 +171,8 @@ class HubConfig:
     max_memory: int = field(default_factory=_quarter_of_memory)
     insecure: bool = False
     time: TimeLimits | None = None
+    greeting: float = 1.0
+    farewell: float = 1.0
 
     def __post_init__(self) -> None:
         for bind in self.binds:
@@ -182,6 +188,11 @@ class HubConfig:
                 f"the heartbeat must be positive and at most the timeout, and the timeout a week or less; "
                 f"they are {self.heartbeat:g} s and {self.timeout:g} s"
             )
+        for name in ("greeting", "farewell"):
+            if not 0 <= getattr(self, name) <= _MAX_TIMEOUT:
+                raise ConfigError(
+                    f"{name} must be from 0 to {_MAX_TIMEOUT:g} seconds, not {getattr(self, name)}"
+                )
         if not 1 <= self.max_body <= MAX_BODY:
             raise ConfigError(f"max_body must be from 1 to {MAX_BODY} bytes, not {self.max_body}")
         if self.max_memory < _BODIES * self.max_body:

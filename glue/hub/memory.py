@@ -7,6 +7,9 @@ from typing import Final, Protocol
 _SMALL: Final = 65_536
 """Bytes that a connection may hold before it joins a session without being evicted before others."""
 
+_SPARE_PART: Final = 16
+"""One part in so many of the limit is left for what the hub uses while it acts on a message."""
+
 
 class Holder(Protocol):
     """Something that uses memory: a connection, or a session."""
@@ -28,30 +31,37 @@ class Memory:
         limit: maximum total, in bytes.
 
     Attributes:
+        held: the number of bytes that each holder uses.
+        total: their sum.
         exceeded: whether the total exceeds the limit.
     """
 
     def __init__(self, limit: int) -> None:
         self.exceeded: bool = False
         self._limit = limit
-        self._total = 0
-        self._held: dict[Holder, int] = {}
+        self._usable = limit - limit // _SPARE_PART
+        self.total: int = 0
+        self.held: dict[Holder, int] = {}
 
     def hold(self, holder: Holder, size: int) -> None:
         """Note that `holder` now uses `size` bytes."""
-        self._total += size - self._held.pop(holder, 0)
+        self.total += size - self.held.pop(holder, 0)
         if size:
-            self._held[holder] = size
-        self.exceeded = self._total > self._limit
+            self.held[holder] = size
+        self.exceeded = self.total > self._usable
+
+    def has_room(self, size: int) -> bool:
+        """Return whether `size` more bytes are within the limit."""
+        return self.total + size <= self._usable
 
     def relieve(self) -> None:
         """Evict the largest holders until the total is within the limit; callers must not use them again."""
         while self.exceeded:
             largest = max(
-                self._held,
-                key=lambda known: (self._held[known] > _SMALL and not known.seated, self._held[known]),
+                self.held,
+                key=lambda known: (self.held[known] > _SMALL and not known.seated, self.held[known]),
             )
-            held = self._held[largest]
+            held = self.held[largest]
             self.hold(largest, 0)
             largest.evict(
                 f"it used {held / 2**20:.0f} MiB, more than any other, when the hub reached its limit of "

@@ -3,7 +3,7 @@
 An observer asks for a number of moments, and is shown the next ones; it misses all others. An observer that
 asks thirty times a second thus costs the session thirty messages a second, however fast it plays. A message
 that cannot be sent at once, because the observer has not read the previous ones, is missed, too: no messages
-are kept for it.
+are kept for it. Nor may observers exhaust the hub's memory: a message for which there is no room is missed.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from glue.engine.engine import Engine
+from glue.hub.memory import Memory
 from glue.wire.codec import clip
 from glue.wire.messages import Kind, Message, Value
 
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 MAX_OBSERVERS: Final = 8
 """Maximum number of observers of one session."""
+
+_COPIES: Final = 3
+"""Maximum number of copies of a message that exist while it is sent, the encrypted ones included."""
 
 
 @dataclass(slots=True)
@@ -38,11 +42,13 @@ class Observers:
     Args:
         session: the session's name.
         send: sends a message to an observer; returns False if it is gone or has not read the previous ones.
+        memory: the hub's; what it has no room for is missed.
     """
 
-    def __init__(self, session: str, send: Callable[[Peer, Message], bool]) -> None:
+    def __init__(self, session: str, send: Callable[[Peer, Message], bool], memory: Memory) -> None:
         self._session = session
         self._send = send
+        self._memory = memory
         self._views: dict[Peer, _View] = {}
         self._episode = 0  # number of episodes begun since the first observer joined
 
@@ -88,15 +94,19 @@ class Observers:
         for peer, view in self._views.items():
             if not view.wanted:
                 view.number += 1
-            elif self._tell(peer, view, kind, scalars, b"".join(bodies)):
+            elif self._tell(peer, view, kind, scalars, *bodies):
                 view.wanted -= 1
 
     def _tell_spec(self, engine: Engine) -> None:
         for peer, view in self._views.items():
             if view.spec_due and engine.task_spec is not None:
-                spec = Message(Kind.OBSERVED_INIT, self._session, 0, (), engine.task_spec)
-                view.spec_due = not self._send(peer, spec)
+                view.spec_due = not self._deliver(peer, Kind.OBSERVED_INIT, 0, (), engine.task_spec)
 
-    def _tell(self, peer: Peer, view: _View, kind: Kind, scalars: tuple[Value, ...], body: bytes) -> bool:
+    def _tell(self, peer: Peer, view: _View, kind: Kind, scalars: tuple[Value, ...], *bodies: bytes) -> bool:
         view.number += 1
-        return self._send(peer, Message(kind, self._session, view.number, scalars, body))
+        return self._deliver(peer, kind, view.number, scalars, *bodies)
+
+    def _deliver(self, peer: Peer, kind: Kind, seq: int, scalars: tuple[Value, ...], *bodies: bytes) -> bool:
+        if not self._memory.has_room(_COPIES * sum(map(len, bodies))):
+            return False
+        return self._send(peer, Message(kind, self._session, seq, scalars, b"".join(bodies)))

@@ -31,13 +31,23 @@ _ALWAYS: Final = frozenset(
 
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _ENV_STEP: Final = Kind.ENV_STEP
+_AGENT_STEP: Final = Kind.AGENT_STEP
 _ERROR: Final = Kind.ERROR
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
 
-_LIGHT: Final = 65_536
-"""Total size in bytes of bodies that a session may keep without accounting: 64 MiB in 1024 sessions."""
+_LIGHT: Final = 2048
+"""Maximum size of a body, in bytes, that a session keeps without accounting for it."""
+
+_BODIES: Final = 6
+"""Maximum number of bodies that a session keeps: those of the engine, and a reply of two."""
+
+_BASE: Final = 10_240 + _BODIES * _LIGHT
+"""Bytes that a session uses at most besides larger bodies: its engine, the names of its peers, and texts."""
+
+_MAX_QUERIES: Final = 8
+"""Maximum number of requests without a call, between two calls, that are in turn."""
 
 
 class Session:
@@ -52,12 +62,15 @@ class Session:
     __slots__ = (
         "_board",
         "_confirmed",
+        "_due",
         "_engine",
         "_explained",
         "_heavy",
         "_lost",
         "_lost_since_reply",
         "_outstanding",
+        "_queries",
+        "_queries_after",
         "_reply",
         "_request_seq",
         "_seq",
@@ -85,7 +98,11 @@ class Session:
         self._lost: dict[Role, str] = {}
         self._lost_since_reply: dict[Role, str] = {}
         self._slow = SlowCalls()
-        self._heavy = False
+        self._heavy = False  # a body is not light
+        self._due = False  # the size of the bodies that are kept has changed
+        self._queries = 0  # number of requests without a call since the call `_queries_after`
+        self._queries_after = 0
+        board.memory.hold(self, _BASE)
 
     @property
     def num_steps(self) -> int:
@@ -102,12 +119,14 @@ class Session:
         self._board.end(self, why)
 
     def _weigh(self) -> None:
-        """Account for the bodies that are kept, unless they are small."""
-        engine, call, reply = self._engine, self._outstanding, self._reply
-        bodies = (call and call.body, reply and reply.body, engine.last_action, engine.task_spec)
-        size = sum(len(body) for body in bodies if body)
-        self._heavy = size > _LIGHT
-        self._board.memory.hold(self, size if self._heavy else 0)
+        """Account for the bodies that are kept."""
+        engine, reply = self._engine, self._reply
+        sizes = [len(body) for body in engine.bodies if body]
+        if reply is not None and reply.body is not engine.task_spec:
+            sizes.append(len(reply.body))
+        self._due = False
+        self._heavy = max(sizes, default=0) > _LIGHT
+        self._board.memory.hold(self, _BASE + sum(sizes) if self._heavy else _BASE)
 
     def knows(self, role: Role, instance: bytes) -> bool:
         """Return whether `instance` was the last in that role, and has sent a request or an answer.
@@ -134,6 +153,7 @@ class Session:
         repeated reply, or after it.
         """
         role = peer.role
+        self._weigh()  # it was given up if its only peer was replaced
         if not same:
             self._confirmed.pop(role, None)
         self.peers[role] = peer
@@ -173,7 +193,7 @@ class Session:
     def observe(self, peer: Peer, send: Callable[[Peer, Message], bool]) -> None:
         """Let `peer` observe; `send` sends it a message, or returns False."""
         if self.observers is None:
-            self.observers = Observers(self.name, send)
+            self.observers = Observers(self.name, send, self._board.memory)
         self.observers.join(peer, self._engine)
 
     def lose(self, peer: Peer, why: str, code: ErrorCode) -> None:
@@ -254,13 +274,25 @@ class Session:
         self._request_seq = message.seq
         self._reply = None
         self._lost, self._lost_since_reply = self._lost_since_reply, {}
+        if self._heavy or len(message.body) > _LIGHT:
+            self._heavy = self._due = True
         try:
             instruction = engine.begin(message.kind, message.scalars, message.body)
         except PeerLost as error:
             self._fail(ErrorCode.PEER_LOST, str(error))
-            return True
-        self._advance(instruction)
-        return True
+        else:
+            self._advance(instruction)
+        return self._outstanding is not None or self._may_query()
+
+    def _may_query(self) -> bool:
+        """Return whether a request that led to no call is in turn: a few are, after each call.
+
+        Otherwise experiments without players could take the time of those that play.
+        """
+        if self._queries_after != self._seq:
+            self._queries_after, self._queries = self._seq, 0
+        self._queries += 1
+        return self._queries <= _MAX_QUERIES
 
     def answer(self, peer: Peer, message: Message) -> bool:
         """Take an answer to the outstanding call, and make the next call; return whether it was in turn."""
@@ -281,6 +313,8 @@ class Session:
             return True
         if kind is _ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
             scalars = (scalars[0], True)  # to an older environment every nonzero number is true
+        if self._heavy or len(body) > _LIGHT:
+            self._replacing(kind, len(body))
         try:
             instruction = self._engine.resume(kind, scalars, body)
         except RemoteProtocolError as error:
@@ -291,6 +325,13 @@ class Session:
             self.observers.show(outstanding, scalars, body, self._engine)
         self._advance(instruction)
         return True
+
+    def _replacing(self, kind: Kind, size: int) -> None:
+        """Note that an answer will be kept; a step replaces the one before, usually of the same size."""
+        engine = self._engine
+        before = {_ENV_STEP: engine.observation, _AGENT_STEP: engine.last_action}.get(kind)
+        self._heavy = True
+        self._due = self._due or not before or len(before) != size
 
     def _answered_out_of_turn(self, peer: Peer, message: Message) -> None:
         """Refuse an answer to a call that was never made; ignore a late or repeated answer.
@@ -333,7 +374,7 @@ class Session:
         self._seq += 1
         body = body or b""
         self._outstanding = outstanding = _message(Message, (kind, self.name, self._seq, scalars, body))
-        if self._heavy or len(body) > _LIGHT:
+        if self._due:
             self._weigh()
         if player is not None:
             if self._time is not None and player.role is Role.AGENT:
@@ -354,7 +395,7 @@ class Session:
 
     def _answer_experiment(self, reply: Message) -> None:
         self._reply = reply
-        if self._heavy or len(reply.body) > _LIGHT:
+        if self._heavy or len(reply.body) > _LIGHT:  # an observation and an action together
             self._weigh()
         experiment = self.peers.get(Role.EXPERIMENT)
         if experiment is not None:

@@ -21,14 +21,18 @@ from glue.hub.observers import MAX_OBSERVERS
 from glue.hub.peer import Peer, Route
 from glue.hub.session import Session
 from glue.hub.time_bank import TimeBank
+from glue.roles import CAPABILITIES
 from glue.wire.codec import UnknownKind, clip
-from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import CALLS, OUTCOME, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
 
 INSTANCE_SIZE: Final = 16
 """Size in bytes of the random number that identifies a peer across connections."""
 
 ONE_RUN: Final = "one-run"
 """Capability of a player that takes part in a single run: it is dismissed when the experiment leaves."""
+
+_KNOWN: Final = frozenset({ONE_RUN, OUTCOME, *CAPABILITIES})
+"""The capabilities that matter here; a peer may offer others, which are not kept."""
 
 _CALLS: Final = frozenset(CALLS)
 _EXPERIMENT: Final = Role.EXPERIMENT
@@ -232,7 +236,7 @@ class Switchboard:
                 # It has missed nothing. Sending more again would let it fill the hub's memory.
                 return None
             self._unseat(current)
-        offered = frozenset(map(str, capabilities))
+        offered = _KNOWN.intersection(map(str, capabilities))
         peer = Peer(session, role, route, instance, *_named(name, codec), offered, known)
         self._sessions[session.name] = session
         self._seats.setdefault(route, {})[session.name] = peer

@@ -71,6 +71,9 @@ class LegacyExperiment(LegacyPeer):
                 self._fail(request.kind, str(message.scalars[1]))
         return not self._connection.closed
 
+    def _kept(self) -> int:
+        return sum(len(kept.body) for kept in (self._request, self._ahead) if kept is not None)
+
     def _on(self, event: ExperimentEvent) -> None:
         self._state = after(EXPERIMENT, self._state, event)
 

@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 from glue.doors import network
@@ -99,7 +100,7 @@ class Gateway:
             self._listen(port, address)
         hub.on_close(self._stop_listening)
         if lines is not log:
-            hub.on_close(lines.close)
+            hub.on_close(partial(lines.close, hub.config.farewell))
 
     def _listen(self, port: LegacyPort, address: OpenAddress) -> None:
         pending, hub = self._pending, self._pending.hub

@@ -31,6 +31,9 @@ from glue.legacy.states import (
 )
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
+_BASE: Final = 8192
+"""Bytes that a program's connection and its seat use at most besides what it has received and not sent."""
+
 _CODEC: Final = "RL-Glue 3.x"
 
 _TO_PLAYER: Final[Mapping[Role, Vocabulary]] = {Role.AGENT: TO_AGENT, Role.ENVIRONMENT: TO_ENVIRONMENT}
@@ -103,11 +106,17 @@ class LegacyPeer:
     def _weigh(self) -> bool:
         """Account for data not handled yet or not sent; return False once the connection has closed."""
         connection = self._connection
-        held = 0 if connection.closed else self._decoder.buffered + connection.unsent
+        held = 0
+        if not connection.closed:
+            held = _BASE + self._decoder.buffered + connection.unsent + self._kept()
         if held != self._held:
             self._held = held
             self._pending.hub.switchboard.memory.hold(self, held)
         return not connection.closed
+
+    def _kept(self) -> int:
+        """Return the number of bytes in messages that are kept here."""
+        return 0
 
     def ready(self, now: float) -> None:
         """Handle received data, and account for its memory."""
@@ -182,7 +191,7 @@ class LegacyPlayer(LegacyPeer):
         self._pending.terminate(self._connection)
 
     def _ask(self, call: Message) -> None:
-        self._call = call
+        self._call = call._replace(body=b"")  # the session keeps it as long as it is needed
         try:
             frame = encode(Frame(call.kind, call.scalars, call.body), _TO_PLAYER[self._role])
         except LocalProtocolError as error:

@@ -15,9 +15,6 @@ from glue.legacy.codec import TO_AGENT, Control, Frame, encode
 MAX_PENDING: Final = 256
 """Maximum number of connections without a role; one more closes the oldest."""
 
-_CLOSING_SECONDS: Final = 1.0
-"""Maximum number of seconds that the end of the hub is delayed while programs finish and close."""
-
 _SUMMARY_SECONDS: Final = 60.0
 """Interval in seconds at which dropped connections are summed up in the log."""
 
@@ -106,7 +103,8 @@ class Pending:
     def _close(self) -> None:
         """Close all; wait briefly for programs about to exit, whose last answer needs an open connection."""
         take_leave(
-            lambda: [known for known, entry in self._entries.items() if entry.closing], _CLOSING_SECONDS
+            lambda: [known for known, entry in self._entries.items() if entry.closing],
+            self.hub.config.farewell,
         )
         now = clock.monotonic()
         for connection, entry in list(self._entries.items()):

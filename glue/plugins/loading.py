@@ -281,10 +281,6 @@ def _look_in(folder: Path, own: str = "") -> None:
         own: name of a module that will be made of a file in `folder`.
     """
     here = str(folder)
-    if here in _searched or here not in sys.path:
-        sys.path[:] = [path for path in sys.path if path not in _searched]
-        _searched[:] = [here, *(path for path in _searched if path != here)]
-        sys.path += _searched
     for top in {name.partition(".")[0] for name in sys.modules}:
         home = _home(sys.modules.get(top))
         if home in _aside and home != folder and (top == own or PathFinder.find_spec(top, [here])):
@@ -292,6 +288,10 @@ def _look_in(folder: Path, own: str = "") -> None:
                 _aside[home][name] = sys.modules.pop(name)
     sys.modules.update(_aside.get(folder, {}))
     _aside[folder] = {}
+    if here in _searched or here not in sys.path:
+        sys.path[:] = [path for path in sys.path if path not in _searched]
+        _searched[:] = [here, *(path for path in _searched if path != here)]
+        sys.path += _searched
 
 
 def _home(module: ModuleType | None) -> Path | None:

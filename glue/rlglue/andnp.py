@@ -33,8 +33,7 @@ class AndnpAgent(Adapter, Agent):
 
     def agent_init(self, task_spec: str) -> None:
         """Make an agent."""
-        made = self._new()
-        self._step, self._end = _extended(made.step, 3), _extended(made.end, 2)
+        self._step = _extended(self._new().step, 3)
 
     def agent_start(self, observation: Observation) -> Action:
         """Begin an episode; return the first action."""
@@ -46,7 +45,7 @@ class AndnpAgent(Adapter, Agent):
 
     def agent_end(self, reward: float) -> None:
         """Learn from the last reward of an episode."""
-        self._end(reward, {})
+        _extended(self._made.end, 2)(reward, {})
 
 
 class AndnpEnvironment(EnvironmentAdapter, Environment):

@@ -154,9 +154,11 @@ def _read_words(scan: _Scanner) -> list[_Word]:
         at = scan.skip()
         word = scan.take(_BOUND)
         if word is None or len(words) == 3:
+            for known in words:
+                scan.bound(known.at, known.text, _SPECIALS, whole=False)  # An earlier word may be to blame.
             scan.at = at
             raise scan.unexpected("')'" if len(words) > 1 else _either("a number", *_SPECIALS))
-        words.append(_Word(at, scan.checked(at, word, _SPECIALS)))
+        words.append(_Word(at, word))
     if len(words) < 2:
         raise scan.error(scan.at - 1, f"a range has two bounds, maybe after a repeat; {len(words)} received")
     return words
@@ -349,8 +351,10 @@ class _Scanner:
         Raises:
             TaskSpecError: `word` is not a bound, or does not fit a double, or, if `whole`, 32 bits.
         """
-        if self.checked(at, word, specials).upper() in specials:
+        if word.upper() in specials:
             return specials[word.upper()]
+        if not _NUMBER.fullmatch(word):
+            raise self.error(at, f"expected {_either('a number', *specials)}, not {_excerpt(word)}")
         if not whole:
             number = float(word)
             if math.isinf(number):
@@ -360,16 +364,6 @@ class _Scanner:
         if not INT32_MIN <= integer <= INT32_MAX:
             raise self.error(at, f"expected a whole number of 32 bits, not {integer}")
         return integer
-
-    def checked(self, at: int, word: str, specials: Mapping[str, Bound]) -> str:
-        """Return `word`, which begins at `at`, if it is a number or a special.
-
-        Raises:
-            TaskSpecError: it is neither.
-        """
-        if word.upper() not in specials and not _NUMBER.fullmatch(word):
-            raise self.error(at, f"expected {_either('a number', *specials)}, not {_excerpt(word)}")
-        return word
 
     def integer(self, at: int, word: str) -> int:
         """Return the value of a whole number, which begins at `at`.

@@ -10,8 +10,12 @@ import pytest
 from agents.network.weights import Network, load, save
 from tests.agents.network.test_network import arrays
 
-pytest.importorskip("torch", reason="needs the extra torch", exc_type=ImportError)
-pytest.importorskip("gymnasium", reason="needs the extra gym", exc_type=ImportError)
+pytest.importorskip(
+    "torch", reason="it learns with PyTorch: pip install 'glue-rl[torch]'", exc_type=ImportError
+)
+pytest.importorskip(
+    "gymnasium", reason="it needs Gymnasium: pip install 'glue-rl[gym]'", exc_type=ImportError
+)
 
 from agents import ppo
 

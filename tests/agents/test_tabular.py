@@ -20,6 +20,7 @@ _SPEC = "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS 
         ("VERSION Private-1 text", "observation is one int with bounds; this one has none$"),
         (_SPEC.format("", "INTS (0 3)"), "observation is one int with bounds; this one has none$"),
         (_SPEC.format("INTS (2 0 9)", "INTS (0 3)"), r"observation .*; this one has INTS \(2 0 9\)$"),
+        (_SPEC.format("DOUBLES (4 -1 1)", "INTS (0 1)"), "the agent linear learns from numbers$"),
         (_SPEC.format("INTS (0 9)", "INTS (0 UNSPEC)"), r"action .*; this one has INTS \(0 UNSPEC\)$"),
     ],
 )

@@ -10,11 +10,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import IO, Final
 
+from env_server.toys import SkeletonEnvironment
 from glue import serve_agent, serve_environment
 from glue.engine.experiment import Experiment
+from glue.engine.local import local
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.roles import Agent, Environment
+from tests.clients.random_agent import RandomAgent
 
 SECONDS: Final = 120.0
 """Timeout in seconds: longer than anything here takes, unless it hangs."""
@@ -69,6 +72,15 @@ def play(glue: Experiment, seed: int) -> Episode:
     glue.rl_init(seed)
     glue.rl_episode(MAX_STEPS)
     return glue.rl_return(), glue.rl_num_steps()
+
+
+def walked(episodes: int, seed: int) -> list[Episode]:
+    """Return the episodes that the example experiment prints, played by our players."""
+    glue = local(RandomAgent(), SkeletonEnvironment())
+    glue.rl_init(seed)
+    return [
+        (glue.rl_return(), glue.rl_num_steps()) for _ in range(episodes) if glue.rl_episode(1000) is not None
+    ]
 
 
 def read_episodes(output: IO[str]) -> list[Episode]:

@@ -13,14 +13,11 @@ import pytest
 
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
-from env_server.toys import SkeletonEnvironment
-from glue.engine.local import local
 from glue.hub.config import Bind, HubConfig
 from glue.hub.io.server import Hub
 from glue.keys.allowed import read_keys
 from tests.clients.languages import CPP, run
-from tests.clients.random_agent import RandomAgent
-from tests.clients.table import SECONDS, Episode, hub, program, read_episodes
+from tests.clients.table import SECONDS, hub, program, read_episodes, walked
 from tests.keyed import KeyFolder
 from tests.system.proxy import Proxy
 
@@ -61,13 +58,6 @@ def keyed(tmp_path: Path) -> Keyed:
     return Keyed(tmp_path)
 
 
-def walked() -> list[Episode]:
-    """Return the episodes that our players play."""
-    glue = local(RandomAgent(), SkeletonEnvironment())
-    glue.rl_init(SEED)
-    return [(glue.rl_return(), glue.rl_num_steps()) for _ in range(EPISODES) if glue.rl_episode(1000)]
-
-
 def test_all_roles_play_with_their_keys_and_go_on_when_connections_are_cut(keyed: Keyed) -> None:
     with keyed.hub() as url, Proxy(int(url.rpartition(":")[2]), cuts=CUTS).in_background() as proxy:
         commands = {role: CPP.programs[example] for role, example in ROLES.items()}
@@ -82,7 +72,7 @@ def test_all_roles_play_with_their_keys_and_go_on_when_connections_are_cut(keyed
             assert process.wait(SECONDS) == 0
             assert proxy.finished.is_set()
 
-    assert played == walked()
+    assert played == walked(EPISODES, SEED)
 
 
 def refused(url: str, **variables: str) -> str:

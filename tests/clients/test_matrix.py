@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from env_server.toys import SkeletonEnvironment
-from glue.engine.local import local
 from tests.clients.languages import LANGUAGES, PYTHON
-from tests.clients.random_agent import RandomAgent
-from tests.clients.table import SECONDS, Episode, hub, program, read_episodes
+from tests.clients.table import SECONDS, hub, program, read_episodes, walked
 
 EPISODES = 10
 SEED = 3
@@ -16,18 +13,10 @@ SEED = 3
 ALL = (PYTHON, *LANGUAGES)
 
 
-def expected() -> list[Episode]:
-    glue = local(RandomAgent(), SkeletonEnvironment())
-    glue.rl_init(SEED)
-    return [
-        (glue.rl_return(), glue.rl_num_steps()) for _ in range(EPISODES) if glue.rl_episode(1000) is not None
-    ]
-
-
 def test_every_combination_of_languages_plays_the_same_episodes() -> None:
     for language in LANGUAGES:
         language.ready()
-    right = expected()
+    right = walked(EPISODES, SEED)
     arguments = (str(EPISODES), str(SEED))
     for agent in ALL:
         with ExitStack() as stack:

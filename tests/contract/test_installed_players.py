@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from glue.engine.local import local
-from glue.errors import GlueError
+from glue.errors import ConfigError, GlueError
+from glue.options import parameters
 from glue.plugins.loading import find
 from glue.taskspec import parse_task_spec
 from glue.testing import check_agent, check_environment
@@ -19,6 +20,16 @@ from tests.players import installed
 
 AGENTS = installed(Role.AGENT)
 ENVIRONMENTS = installed(Role.ENVIRONMENT)
+STEPS = {"planner-learns": 6}
+"""Steps of an episode, for agents that take long to decide."""
+
+OTHER_TASKS = [
+    "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 20) "
+    "ACTIONS INTS (0 1) REWARDS (-1 1) EXTRA Mario-v1",
+    "Mario-v1",
+    "",
+    "no task spec at all " * 50,
+]
 
 
 @cache
@@ -56,6 +67,22 @@ def test_those_known_by_name_are_installed() -> None:
     assert {"best", "hierarchical", "random", "sample", "sarsa", "skeleton", "tiles"} <= set(AGENTS)
 
 
+@pytest.mark.parametrize("role", [Role.AGENT, Role.ENVIRONMENT])
+def test_every_option_is_explained(role: Role) -> None:
+    for name in installed(role):
+        for option in parameters(find(role, name)).values():
+            assert option.option.help, f"{name}: {option}"
+
+
+@pytest.mark.parametrize("name", ["best", "hierarchical", "planner", "sample", "tiles"])
+def test_another_task_is_refused_in_words(name: str) -> None:
+    for task_spec in OTHER_TASKS:
+        agent: Any = find(Role.AGENT, name)()
+        with pytest.raises(ConfigError, match=f"agent {name} plays Infinite Mario") as refusal:
+            agent.agent_init(task_spec)
+        assert len(str(refusal.value)) < 300
+
+
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_environment_keeps_the_contract(name: str) -> None:
     check_environment(find(Role.ENVIRONMENT, name), episodes=2, steps=100)
@@ -72,7 +99,7 @@ def test_agent_keeps_the_contract_in_every_task_that_it_can_play(name: str) -> N
             player.env_init(),
             observation=partial(observe, environment),
             episodes=2,
-            steps=12,
+            steps=STEPS.get(name, 12),
         )
 
 

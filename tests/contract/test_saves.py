@@ -25,6 +25,7 @@ from glue.roles import SaveableAgent, SaveableEnvironment, offers
 from glue.saves import pack, unpack
 from glue.wire.messages import Role
 from tests.players import installed
+from tests.proof import size
 
 OLD: dict[str, dict[str, Any]] = json.loads(
     gzip.decompress(Path(__file__).parents[1].joinpath("golden", "old_saves.json.gz").read_bytes())
@@ -36,7 +37,7 @@ SAVEABLE = {Role.AGENT: SaveableAgent, Role.ENVIRONMENT: SaveableEnvironment}
 PLAYERS = [
     (role, name) for role in SAVEABLE for name in installed(role) if offers(find(role, name), SAVEABLE[role])
 ]
-MUTATIONS = 1000
+MUTATIONS = size(200, 1000)
 
 all_players = pytest.mark.parametrize(("role", "name"), PLAYERS, ids=lambda value: str(value))
 
@@ -87,6 +88,7 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
     return bytes(broken)
 
 
+@pytest.mark.proof
 @all_players
 def test_no_mutation_of_a_save_is_accepted(role: Role, name: str) -> None:
     player, saved = played(role, name)
@@ -140,6 +142,7 @@ def forged(saved: bytes, rng: random.Random) -> bytes:
     return data + hashlib.sha256(data).digest()
 
 
+@pytest.mark.proof
 @all_players
 def test_a_forged_save_is_refused_or_harmless(role: Role, name: str) -> None:
     player, saved = played(role, name)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import doctest
 import math
-import pickle
 import re
 import tracemalloc
 from pathlib import Path
@@ -15,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glue.errors import LocalProtocolError, TaskSpecError
@@ -34,6 +32,7 @@ from glue.taskspec import (
     parse_task_spec,
 )
 from glue.types import Action, Observation
+from tests.proof import size
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "taskspec.md"
 ANY = Range(UNSPEC, UNSPEC)
@@ -83,6 +82,8 @@ def space_text(observations: str) -> str:
 def read_space(observations: str) -> Space:
     return parse_task_spec(space_text(observations)).observations
 
+
+some = settings(max_examples=size(20, 1000))
 
 # Strategies
 
@@ -146,6 +147,7 @@ task_specs = public_specs | mario_specs | private_specs
 # Reading and printing
 
 
+@some
 @given(task_specs)
 def test_printed_spec_reads_back_to_an_equal_value(spec: TaskSpec) -> None:
     text = str(spec)
@@ -162,6 +164,7 @@ def test_version_and_problem_type_end_where_a_keyword_begins(keyword: str) -> No
     assert (spec.version, spec.problem_type) == (RL_GLUE_3, "episodic")
 
 
+@some
 @given(public_specs, st.randoms())
 def test_white_space_and_case_do_not_matter(spec: TaskSpec, random: Random) -> None:
     spec = dataclasses.replace(spec, problem_type="episodic", extra="")
@@ -178,6 +181,7 @@ def test_white_space_and_case_do_not_matter(spec: TaskSpec, random: Random) -> N
     assert parse_task_spec(text) == spec
 
 
+@some
 @given(st.lists(st.sampled_from(TOKENS), max_size=30).map("".join) | st.text(max_size=60))
 def test_any_text_is_read_or_refused(text: str) -> None:
     for prefix in ("", "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS ", "2:e:"):
@@ -222,17 +226,6 @@ def test_published_text_with_everything_is_read() -> None:
     )
 
 
-def test_polyathlon_of_the_competition_is_read() -> None:
-    spec = parse_task_spec(
-        "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1.0 OBSERVATIONS  DOUBLES (6 0.0 1.0)  "
-        "ACTIONS INTS (0 5)  REWARDS (-1.0 1.0)  EXTRA EnvName:Polyathlon"
-    )
-    assert spec.observations == Space(doubles=Ranges(((6, Range(0, 1)),)))
-    assert spec.actions == Space(Ranges.of(Range(0, 5)))
-    assert spec.rewards == Range(-1, 1)
-    assert spec.extra == "EnvName:Polyathlon"
-
-
 def test_mario_of_the_competition_is_read() -> None:
     spec = parse_task_spec(
         "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 ACTIONS INTS (-1 1) (2 0 1)  "
@@ -251,16 +244,12 @@ def test_mario_of_the_competition_is_read() -> None:
     assert spec.actions.check(Action([-2, 0, 1])) == "int 0 is -2, not in (-1 1)"
 
 
-@pytest.mark.parametrize("text", ["VERSION Foo", "version\tFoo ", " VERSION Foo\n"])
-def test_private_version_without_text_has_its_name(text: str) -> None:
-    assert parse_task_spec(text) == TaskSpec.private("Foo")
-
-
-@pytest.mark.parametrize("version", ["RL-Glue-3.0.1", "RL-Glue-2.0", "Mario-v2", "Real-Time-Strategy-1.0"])
+@pytest.mark.parametrize("version", ["RL-Glue-3.0.1", "Mario-v2"])
 def test_unknown_version_is_private(version: str) -> None:
     spec = parse_task_spec(f"VERSION {version} PROBLEMTYPE  episodic (0 1) EXTRA\n:x ")
     assert spec == TaskSpec.private(version, "PROBLEMTYPE  episodic (0 1) EXTRA\n:x")
     assert spec.actions.check(Action([1, 2, 3], [math.nan], b"x")) is None
+    assert parse_task_spec("version\tFoo\n") == TaskSpec.private("Foo")
 
 
 # The colon format
@@ -305,6 +294,15 @@ def test_colon_infinite_bounds_and_stray_commas_are_read() -> None:
     )
     spec = parse_task_spec(f"2:e:5_[f,f,f,f,f,,]_{ranges}:5_[f,f,f,f,f,,]_{ranges}:[-1,0]")
     assert (spec.observations, spec.actions) == (space, space)
+
+
+def test_colon_several_underscores_are_one() -> None:
+    text = "2:e:2_[f,f]_[0.0,200.0]_[0.0,200.0]:1_[i]{}[0,3]:[-1.0,0.0]"
+    assert (
+        parse_task_spec(text.format("__"))
+        == parse_task_spec(text.format("_ _ _"))
+        == parse_task_spec(text.format("_"))
+    )
 
 
 def test_colon_ints_and_doubles_are_separated_in_order() -> None:
@@ -382,18 +380,13 @@ def test_error_names_place_and_expectation(text: str, error: str) -> None:
         "(" * MAX_LENGTH,
         "VERSION" + " " * 60_000,
         "VERSION RL-Glue-3.0 PROBLEMTYPE " + "DISCOUNTFACTO" * 4_500,
-        "VERSION RL-Glue-3.0 PROBLEMTYPE e DISCOUNTFACTOR " + "9" * 60_000,
-        space_text("INTS (" + "9" * 60_000 + " 1)"),
         space_text("INTS (0 1." + "0" * 60_000 + "x)"),
-        space_text("DOUBLES (0 " + "9" * 60_000 + "x)"),
         space_text("DOUBLES (0 0." + "9" * 60_000 + "e9999999)"),
         space_text("INTS (" + "1 " * 30_000),
         space_text("INTS " + "()" * 30_000),
         space_text("__import__('os').getcwd()"),
         "2:e:1_[" + "," * 60_000,
-        "2:e:9_[" + "i," * 30_000,
         "2:e:" + "9" * 60_000,
-        "2" + " " * 60_000,
     ],
     ids=lambda text: text[:90],
 )
@@ -432,28 +425,7 @@ def test_long_repeat_takes_no_memory() -> None:
 # Values
 
 
-def test_task_spec_is_immutable() -> None:
-    spec = parse_task_spec(space_text("INTS (0 1)"))
-    for value, name in (
-        (spec, "discount"),
-        (spec.actions, "chars"),
-        (spec.actions.ints, "runs"),
-        (spec.rewards, "low"),
-    ):
-        with pytest.raises(dataclasses.FrozenInstanceError):
-            setattr(value, name, 0)
-    with pytest.raises((AttributeError, TypeError)):
-        spec.note = "more"  # type: ignore[attr-defined]
-
-
-def test_task_spec_survives_copying() -> None:
-    spec = parse_task_spec(space_text("INTS (0 1) DOUBLES (50 0 1) (1 2)"))
-    for twin in (copy.deepcopy(spec), pickle.loads(pickle.dumps(spec))):
-        assert twin == spec
-        assert twin.observations.counts == (1, 51, 0)
-        assert twin.observations.doubles[50] == Range(1, 2)
-
-
+@some
 @given(rows_of(int_ranges, st.integers(0, 40)))
 def test_ranges_are_a_row_of_ranges(ranges: Ranges) -> None:
     row = [range_ for repeat, range_ in ranges.runs for _ in range(repeat)]
@@ -535,6 +507,7 @@ def test_task_spec_that_could_not_be_printed_is_refused(change: dict[str, Any], 
 # Asking
 
 
+@some
 @given(small_spaces, st.integers(0, 2**32))
 def test_sample_is_in_its_space(space: Space, seed: int) -> None:
     value = Observation(*space.sample(np.random.default_rng(seed)))
@@ -553,6 +526,7 @@ def test_sample_of_a_space_not_stated_is_a_local_error() -> None:
         Space(stated=False).sample(np.random.default_rng(0))
 
 
+@some
 @given(small_spaces, st.data())
 def test_check_names_the_first_number_out_of_its_range(space: Space, data: st.DataObject) -> None:
     ints = data.draw(

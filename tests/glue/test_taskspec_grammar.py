@@ -105,7 +105,7 @@ def test_examples_are_of_the_grammar(text: str) -> None:
 
 
 @pytest.mark.proof
-@settings(max_examples=size(15, 300))  # Each example takes some milliseconds to make.
+@settings(max_examples=size(10, 1000))  # Each example takes some milliseconds to make.
 @given(FROM_GRAMMAR)
 def test_what_the_grammar_makes_is_read_but_for_what_the_document_says(text: str) -> None:
     error = refusal(text)
@@ -113,7 +113,7 @@ def test_what_the_grammar_makes_is_read_but_for_what_the_document_says(text: str
 
 
 @pytest.mark.proof
-@settings(max_examples=size(50, 1000))
+@settings(max_examples=size(10, 1000))
 @given(mutated())
 def test_grammar_and_parser_agree_on_texts_with_mistakes(text: str) -> None:
     if not re.match(r"\s*VERSION\s+(RL-Glue-3\.0|Mario-v1)(?=\s|PROBLEMTYPE|$)", text, re.IGNORECASE):

@@ -20,8 +20,8 @@ PACKAGES: Final = ("glue", "env_server", "agents", "experiment_runner")
 MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     # errors, types, roles, options: the names that users write against
     "glue": (),
-    # time, network, chance and threads
-    "glue/doors": (),
+    # time, network, chance, threads and forks
+    "glue/doors": ("glue",),
     "glue/compiled": ("glue", "glue/doors"),
     "glue/taskspec": ("glue",),
     "glue/trajectory": ("glue",),

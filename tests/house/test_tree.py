@@ -54,11 +54,13 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "experiment_runner/meeting/children.py",
         "experiment_runner/meeting/hints.py",
         "experiment_runner/plan/provenance.py",
+        "experiment_runner/report/progress.py",
         "experiment_runner/view/starting.py",
         "experiment_runner/slurm/batch.py",
         "experiment_runner/study/generalisation/imitation.py",
         "glue/conform/hub/mirror.py",
         "glue/plugins/naming.py",
+        "glue/rlglue/package.py",
     ],
     # Only a command line reads its settings from the environment.
     **dict.fromkeys(

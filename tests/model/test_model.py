@@ -8,17 +8,18 @@ from __future__ import annotations
 import os
 import re
 import subprocess
+import tomllib
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
 
 from tests.house.imports import ROOT
-from tests.model.mutants import MUTANTS, Mutant
 
 FOLDER: Final = ROOT / "docs/model"
 MODEL: Final = (FOLDER / "Glue.tla").read_text(encoding="utf-8")
 INVARIANTS: Final = (FOLDER / "Glue.cfg").read_text(encoding="utf-8")
+MUTANTS: Final = tomllib.loads(Path(__file__).with_name("mutants.toml").read_text("utf-8"))["mutant"]
 LIVENESS: Final = (FOLDER / "Liveness.cfg").read_text(encoding="utf-8")
 
 LEFT_OUT: Final = {
@@ -27,7 +28,10 @@ LEFT_OUT: Final = {
 }
 """Rules of a peer about bodies and about messages that the model leaves out."""
 
-with_tlc = pytest.mark.skipif("TLA2TOOLS" not in os.environ, reason="TLA2TOOLS names no tla2tools.jar")
+with_tlc = pytest.mark.skipif(
+    "TLA2TOOLS" not in os.environ,
+    reason="TLA2TOOLS names no tla2tools.jar; docs/verification.md says how to install it",
+)
 
 
 def flat(text: str) -> str:
@@ -62,15 +66,7 @@ def check(folder: Path, model: str, config: str) -> str:
     (folder / "Glue.tla").write_text(model, encoding="utf-8")
     (folder / "Glue.cfg").write_text(config, encoding="utf-8")
     command = ["java", "-XX:+UseSerialGC", "-Xmx4g", "-cp", os.environ["TLA2TOOLS"], "tlc2.TLC", "-deadlock"]
-    options = [
-        "-workers",
-        "2",
-        "-metadir",
-        str(folder),
-        "-config",
-        "Glue.cfg",
-        "Glue.tla",
-    ]
+    options = [*("-workers", "2", "-metadir", str(folder)), *("-config", "Glue.cfg", "Glue.tla")]
     return subprocess.run(command + options, cwd=folder, capture_output=True, text=True, timeout=1200).stdout
 
 
@@ -85,15 +81,17 @@ def test_the_model_keeps_its_promises(config: str, tmp_path: Path) -> None:
 
 @with_tlc
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.mistake.replace(" ", "-"))
-def test_a_mistake_breaks_a_promise(mutant: Mutant, tmp_path: Path) -> None:
-    assert MODEL.count(mutant.before) == 1
-    liveness = mutant.breaks == "RequestsEnd"
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant["mistake"].replace(" ", "-"))
+def test_a_mistake_breaks_a_promise(mutant: dict[str, Any], tmp_path: Path) -> None:
+    assert MODEL.count(mutant["before"]) == 1
+    liveness = mutant["breaks"] == "RequestsEnd"
     # Only this invariant: if several are broken, TLC names the first that one of its threads finds.
-    config = LIVENESS if liveness else INVARIANTS.partition("INVARIANTS")[0] + f"INVARIANT {mutant.breaks}\n"
+    config = (
+        LIVENESS if liveness else INVARIANTS.partition("INVARIANTS")[0] + f"INVARIANT {mutant['breaks']}\n"
+    )
 
-    output = check(tmp_path, MODEL.replace(mutant.before, mutant.after), config)
+    output = check(tmp_path, MODEL.replace(mutant["before"], mutant["after"]), config)
 
-    refuted = "Temporal properties were violated" if liveness else f"Invariant {mutant.breaks} is violated"
+    refuted = "Temporal properties were violated" if liveness else f"Invariant {mutant['breaks']} is violated"
     assert refuted in output, output[-5000:]
-    print(f"{mutant.mistake}: {output.count(chr(10) + 'State ')} states")
+    print(f"{mutant['mistake']}: {output.count(chr(10) + 'State ')} states")

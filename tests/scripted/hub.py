@@ -5,15 +5,11 @@ from __future__ import annotations
 import time
 from typing import Any, Final
 
-import msgpack
 import zmq
 
 from glue.client.libzmq import Context
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import Kind, Message
-
-HEARTBEAT: Final = 0.05
-"""Interval of the heartbeats that its WELCOMEs ask for, in seconds."""
 
 _TIMEOUT: Final = 30.0
 
@@ -100,31 +96,8 @@ class ScriptedHub:
         """Return the next message, of whatever kind."""
         return decode(self.receive_frames(), TO_HUB)
 
-    def hear(self, *kinds: Kind) -> Message:
-        """Return the next message that is no heartbeat; it must be of one of `kinds`."""
-        while (message := self.next()).kind is Kind.HEARTBEAT:
-            pass
-        assert message.kind in kinds, message
-        return message
-
     def say(
         self, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "default"
     ) -> None:
         """Send a message."""
         self.send(Message(kind, session, seq, scalars, body))
-
-    def say_unknown(self, kind: int, seq: int) -> None:
-        """Send a message of a kind that no peer of this version knows."""
-        self.send_frames(msgpack.packb([kind, "default", seq, "new"]), b"body")
-
-    def welcome(self, resumed: bool = False, session: str = "default", max_body: int = 10_000) -> Message:
-        """Welcome a peer; return its HELLO."""
-        hello = self.hear(Kind.HELLO)
-        assert hello.session == session
-        self.say(Kind.WELCOME, hello.seq, 1, resumed, HEARTBEAT, 10.0, max_body, session=session)
-        return hello
-
-    def call(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> Message:
-        """Call a player; return its answer."""
-        self.say(kind, seq, *scalars, body=body)
-        return self.hear(kind)

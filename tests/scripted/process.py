@@ -10,6 +10,7 @@ connects through libzmq's DEALER instead of a plain socket. `main` does the same
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -33,6 +34,19 @@ def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     finally:
         process.kill()
         process.communicate()
+
+
+def address(hub: subprocess.Popen[str]) -> str:
+    """Return the address that a hub prints first."""
+    assert hub.stderr is not None
+    return address_in(hub.stderr.readline())
+
+
+def address_in(line: str) -> str:
+    """Return the address in the line with which a hub begins."""
+    listening = re.search(r"listening on (\S*[^\s:])", line)
+    assert listening is not None, line
+    return listening[1]
 
 
 def peer(role: str, hub: str, player: str, libzmq: bool = False) -> list[str]:

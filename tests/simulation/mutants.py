@@ -1,6 +1,6 @@
 """Mistakes of the hub and of its clients that the simulator has to find: python -m tests.simulation.mutants.
 
-Each is a change of one place in the source, tried on a copy of it.
+Each is a change of one place in the source, listed in mutants.toml and tried on a copy of it.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
@@ -30,114 +31,9 @@ class Mutant(NamedTuple):
     after: str
 
 
-_SESSION: Final = "glue/hub/session.py"
-_SESSIONS: Final = "glue/hub/sessions.py"
-_ANSWERS: Final = "glue/client/answers.py"
-_EXPERIMENT: Final = "glue/client/experiment.py"
-_LINK: Final = "glue/client/link.py"
-
-MUTANTS: Final = (
-    Mutant(
-        "the hub drops its last reply too soon",
-        _SESSION,
-        "missed = self._reply if peer.role is Role.EXPERIMENT else self._outstanding",
-        "missed = None if peer.role is Role.EXPERIMENT else self._outstanding",
-    ),
-    Mutant(
-        "the hub does not repeat the outstanding call",
-        _SESSION,
-        "missed = self._reply if peer.role is Role.EXPERIMENT else self._outstanding",
-        "missed = self._reply if peer.role is Role.EXPERIMENT else None",
-    ),
-    Mutant(
-        "the hub begins a repeated request again (< instead of <=)",
-        _SESSION,
-        "if message.seq <= self._request_seq:",
-        "if message.seq < self._request_seq:",
-    ),
-    Mutant(
-        "the hub accepts an answer of any number",
-        _SESSION,
-        "if outstanding is None or seq != outstanding[2] or _CALLEES",
-        "if outstanding is None or _CALLEES",
-    ),
-    Mutant(
-        "a void episode is forgotten", "glue/engine/engine.py", "self._void = reason", "self._void = None"
-    ),
-    Mutant("a lost player voids nothing", _SESSION, "engine.void(reason)", "pass"),
-    Mutant(
-        "a WELCOME is trusted that may have been lost",
-        _SESSIONS,
-        "known = session.knows(role, instance)",
-        "known = session.knows(role, instance) or current is not None",
-    ),
-    Mutant(
-        "a role is given away whose holder is there",
-        _SESSIONS,
-        "if current.unreachable_since is None and self._reach(current):",
-        "if False:",
-    ),
-    Mutant(
-        "a peer is lost as soon as its connection breaks",
-        _SESSIONS,
-        "now - since >= self._config.timeout",
-        "now >= since",
-    ),
-    Mutant(
-        "a seat is not freed",
-        _SESSIONS,
-        "            self._unseat(current)\n",
-        "",
-    ),
-    Mutant(
-        "memory of a connection is not given back",
-        "glue/hub/io/channels.py",
-        "        self.switchboard.memory.hold(channel, 0)\n",
-        "",
-    ),
-    Mutant(
-        "the hub forgets what a crowded connection did not take",
-        "glue/hub/io/connection.py",
-        "            self._unsent += memoryview(data)[sent:]",
-        "            return",
-    ),
-    Mutant(
-        "a player drops the answer that it has to keep",
-        _ANSWERS,
-        "if message == self._last_call:",
-        "if False:",
-    ),
-    Mutant(
-        "a player keeps its numbers at another hub",
-        _ANSWERS,
-        "        self._last_seq = 0\n\n    def answer",
-        "        pass\n\n    def answer",
-    ),
-    Mutant(
-        "an experiment does not repeat its request",
-        _EXPERIMENT,
-        "                    link.send(request)\n                    unreceived += 1",
-        "                    unreceived += 1",
-    ),
-    Mutant(
-        "an experiment goes on at a hub that does not know it",
-        _EXPERIMENT,
-        "if not resumed and self._answered:",
-        "if False:",
-    ),
-    Mutant(
-        "a peer greets only over its first connection",
-        _LINK,
-        "if self._transport.connections != self._greeted:\n            self._greet()",
-        "if not self._greeted:\n            self._greet()",
-    ),
-    Mutant(
-        "a peer thinks it is welcome over every connection",
-        _LINK,
-        "        self._welcomed.clear()\n",
-        "",
-    ),
-)
+MUTANTS: Final = [
+    Mutant(**row) for row in tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["mutant"]
+]
 
 
 def first_seed(mutant: Mutant, seeds: int = SEEDS) -> tuple[int, str] | None:
@@ -145,6 +41,7 @@ def first_seed(mutant: Mutant, seeds: int = SEEDS) -> tuple[int, str] | None:
     with TemporaryDirectory() as folder:
         for part in ("glue", "tests/simulation"):
             shutil.copytree(ROOT / part, Path(folder) / part, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copy(ROOT / "tests/weighing.py", Path(folder) / "tests")
         changed = Path(folder) / mutant.file
         source = changed.read_text(encoding="utf-8")
         if source.count(mutant.before) != 1:

@@ -32,6 +32,7 @@ class Socket:
         clogged_until: virtual time before which nothing that is sent over it arrives.
         queue: data on its way to the peer.
         lost: whether all further data is lost.
+        judged: whether the other end has to read exactly the messages that were sent here.
     """
 
     def __init__(self, net: Net, process: Process, family: int = real.AF_INET) -> None:
@@ -58,6 +59,7 @@ class Socket:
         self.dribble = 0
         self.clogged_until = 0.0
         self.lost = False
+        self.judged = True
         self.queue: deque[bytes | str] = deque()
         self.arrival = 0.0
         self.latency = 0.0001

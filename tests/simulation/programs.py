@@ -10,10 +10,11 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-from glue.engine.experiment import Experiment
-from glue.engine.local import local
+from glue.engine.engine import role_seed
+from glue.engine.experiment import Experiment, Start
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation, Step
+from glue.wire.messages import Role
 
 Pause = Callable[[], None]
 
@@ -159,7 +160,7 @@ class Block(NamedTuple):
     """Maximum number of steps of an episode."""
 
 
-def play(glue: Experiment, block: Block, pause: Pause = nothing) -> list[Any]:
+def play(glue: Experiment | _Direct, block: Block, pause: Pause = nothing) -> list[Any]:
     """Play a block, pausing before each step and episode; return all that an experiment can see."""
     seen: list[Any] = [glue.rl_init(block.seed)]
     for style in block.styles:
@@ -196,7 +197,72 @@ def play(glue: Experiment, block: Block, pause: Pause = nothing) -> list[Any]:
     return seen
 
 
+class _Direct:
+    """RL-Glue's verbs over two objects, without engine or hub."""
+
+    def __init__(self, agent: BusyAgent, environment: BusyEnvironment) -> None:
+        self._agent, self._environment = agent, environment
+        self.rl_agent_start, self.rl_agent_step = agent.agent_start, agent.agent_step
+        self.rl_agent_end, self.rl_agent_save = agent.agent_end, agent.agent_save
+        self.rl_env_save = environment.env_save
+        self.rl_agent_message, self.rl_env_message = agent.agent_message, environment.env_message
+
+    def rl_init(self, seed: int) -> str:
+        self._environment.env_seed(role_seed(seed, Role.ENVIRONMENT))
+        task_spec = self._environment.env_init()
+        self._agent.agent_seed(role_seed(seed, Role.AGENT))
+        self._agent.agent_init(task_spec)
+        self._episodes = 0
+        return task_spec
+
+    def rl_env_start(self) -> Observation:
+        self._steps, self._total = 1, 0.0
+        return self._environment.env_start()
+
+    def rl_start(self) -> Start:
+        observation = self.rl_env_start()
+        self._action = self._agent.agent_start(observation)
+        return Start(observation, self._action)
+
+    def rl_env_step(self, action: Action) -> Step:
+        step = self._environment.env_step(action)
+        self._total += step.reward
+        ended = step.terminal and not step.truncated
+        self._episodes += ended
+        self._steps += not ended
+        return step
+
+    def rl_step(self) -> Step:
+        step = self.rl_env_step(self._action)
+        if step.terminal and not step.truncated:
+            self._agent.agent_end(step.reward)
+        else:
+            self._action = self._agent.agent_step(step.reward, step.observation)
+        return step
+
+    def rl_episode(self, max_steps: int) -> bool:
+        self.rl_start()
+        while self._steps < max_steps:
+            step = self.rl_step()
+            if step.terminal:
+                return not step.truncated
+        return False
+
+    def rl_return(self) -> float:
+        return self._total
+
+    def rl_num_steps(self) -> int:
+        return self._steps
+
+    def rl_num_episodes(self) -> int:
+        return self._episodes
+
+    def rl_cleanup(self) -> None:
+        self._environment.env_cleanup()
+        self._agent.agent_cleanup()
+
+
 @cache
 def expected(block: Block, bulk: int, many: bool) -> list[Any]:
-    """Return the results of a block whose players are objects in the experiment's own process."""
-    return play(local(agent(bulk, many), environment(bulk, many)), block)
+    """Return the results of a block whose players are called directly."""
+    return play(_Direct(agent(bulk, many), environment(bulk, many)), block)

@@ -6,15 +6,18 @@ import errno
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
 from random import Random
 from typing import Any, Final, NamedTuple
 
+from greenlet import getcurrent
+
+from glue.client import link
 from glue.client.experiment import connect
 from glue.client.observer import observe
 from glue.client.players import serve_agent, serve_environment
+from glue.client.transport import open_transport
 from glue.doors import clock, network
 from glue.errors import GlueError, HubClosed, HubUnreachable, PeerFailed, PeerLost, Refused
 from glue.hub.config import Bind, HubConfig
@@ -27,10 +30,11 @@ from glue.wire import zmtp
 from glue.wire.messages import PROTOCOL_VERSION, Kind, Message, Role
 from glue.wire.stream import Stream
 from tests.simulation.faults import Fault, drawn
+from tests.simulation.lying import Lying
 from tests.simulation.net import CAPACITY, Net, Socket
 from tests.simulation.programs import Block, agent, environment, expected, play
 from tests.simulation.watching import Watch
-from tests.simulation.world import Process, Stuck, World
+from tests.simulation.world import Process, Stuck, World, replacing
 
 PORT: Final = 4097
 URL: Final = f"tcp://127.0.0.1:{PORT}"
@@ -81,6 +85,7 @@ class Session:
 
     Attributes:
         blocks: number of blocks that the experiment has finished.
+        experiments: number of experiments that have joined it.
         over: whether the experiment has left for good.
     """
 
@@ -92,6 +97,7 @@ class Session:
         self.late = random.choice((0.0, 0.0, 0.2, 3.0))
         self.random = Random(random.randrange(2**31))
         self.blocks = 0
+        self.experiments = 0
         self.calls = 0
         self.thinking = random.choice((0.0, 0.0, 0.0, 0.4))
         self.voids = 0
@@ -143,10 +149,15 @@ class Run:
         number = 1 if self.inside else random.choice((1, 1, 1, 2, 3, 8))
         self.sessions = [Session(f"s{n}", random) for n in range(number)]
         self.several = number > 1 and random.random() < 0.4
-        self.small = random.random() < 0.15
+        pieces = Random(f"pieces {seed}")
+        self.joint = self.several and pieces.random() < 0.5
+        self.copied = 300 if self.joint or pieces.random() < 0.3 else 65_536
+        self.small = random.random() < 0.15 and not self.inside
         if self.small:
             for session in self.sessions:
                 session.bulk = min(session.bulk, 40)
+        elif pieces.random() < 0.2:
+            pieces.choice(self.sessions).bulk = 60_000
         self.unsent = random.choice((64 * 2**20, 64 * 2**20, 400))
         self.heartbeat = random.choice((1.0, 1.0, 0.2))
         self.timeout = random.choice((5.0, 5.0, 1.5))
@@ -154,8 +165,17 @@ class Run:
         self.hubs: list[Process] = []
         self.players: list[tuple[Process, Callable[[bool], Process]]] = []
         self.experiments: dict[str, Process] = {}
+        self.liar = self._draw_liar()
+        self.liars: dict[int, Callable[[Any], Any]] = {}
         self.watch = Watch(self, trace)
         self.random = Random(seed + 7)
+
+    def _draw_liar(self) -> tuple[Role, Session] | None:
+        """Return the player that lies, in some of the runs."""
+        random = Random(f"lies {self.seed}")
+        if random.random() >= 0.3:
+            return None
+        return random.choice((Role.AGENT, Role.ENVIRONMENT)), random.choice(self.sessions)
 
     # Programs.
 
@@ -166,7 +186,8 @@ class Run:
             bind = Bind(URL, keys=Keys(hub.secret, {peer.public: Permit("peer", frozenset(Role))}))
         limits: dict[str, Any] = {"max_memory": 2**30}
         if self.small:
-            limits = {"max_body": 4096, "max_memory": 4 * 4096, "max_sessions": 4 * len(self.sessions)}
+            number = len(self.sessions)
+            limits = {"max_body": 4096, "max_memory": 2**16 * number + 4 * 4096, "max_sessions": 4 * number}
         return HubConfig(bind=(bind,), heartbeat=self.heartbeat, timeout=self.timeout, **limits)
 
     def _key(self) -> dict[str, Any]:
@@ -215,6 +236,7 @@ class Run:
         while not session.over:
             try:
                 with connect(URL, session.name, wait=None, **self._key()) as glue:
+                    self._look_around(glue, session)
                     while not session.over:
                         self._play(glue, session)
             except Refused as error:
@@ -223,6 +245,14 @@ class Run:
             except HubClosed as error:
                 self.watch.closed(session, error)
                 clock.sleep(0.1)
+
+    def _look_around(self, glue: Any, session: Session) -> None:
+        """Judge (h): an experiment that joins finds nothing of one before it."""
+        session.experiments += 1
+        if session.experiments > 1:
+            found = glue.rl_return(), glue.rl_num_steps(), glue.rl_num_episodes()
+            if found != (0.0, 0, 0):
+                self.problems.append(f"(h) a new experiment of {session.name} finds the counts {found}")
 
     def _play(self, glue: Any, session: Session) -> None:
         """Play one block, again and again until it is not void."""
@@ -254,6 +284,14 @@ class Run:
             if players is None or not kept:
                 players = {each.name: make(each.bulk, each.many, each.pause) for each in sessions}
             process = Process(self.world, f"{role} of {','.join(each.name for each in sessions)}")
+            if self.liar is not None and self.liar[0] is role and self.liar[1] in sessions:
+                self.liars[process.number] = partial(
+                    Lying,
+                    random=Random(f"lies {self.seed} {process.number}"),
+                    others=[each.name for each in self.sessions if each not in sessions],
+                    honest=self._ends,
+                    harmed=self.watch.restarted,
+                )
             process.spawn(partial(self._serve, role, players, delay))
             again = partial(start, players=players)
             self.players.append((process, again))
@@ -278,6 +316,12 @@ class Run:
                 refused = min(2 * refused, 5.0)
             self.watch.restarted()
             clock.sleep(refused)
+
+    def _open_transport(self, *how: Any) -> Any:
+        """Return a connection of the running program, which may be a liar's."""
+        current: Any = getcurrent()
+        lying = self.liars.get(current.process.number, lambda transport: transport)
+        return lying(open_transport(*how))
 
     def _observe(self, session: str) -> None:
         try:
@@ -402,6 +446,7 @@ class Run:
         elif fault.kind == "again":
             if not self.keyed and sender.sent > 200 + len(data) and _is_whole(data):
                 net.transmit(sender, data)
+                self.watch.order.repeated(sender)
         else:
             self._apply_elsewhere(fault)
         return 0.0
@@ -483,12 +528,20 @@ class Run:
         """Run until every session has finished."""
         world = self.world
         here = self.seed % 4 if self.inside else 0
-        with self.watch.entered(), world.entered(self.net), _small_limits(self.unsent):
+        changed: list[tuple[Any, str, Any]] = [
+            (channels, "MAX_UNSENT", self.unsent),
+            (channels, "_MAX_COPIED", self.copied),
+            (link, "open_transport", self._open_transport),
+        ]
+        with self.watch.entered(), world.entered(self.net), replacing(changed):
             self.start_hub()
             environments = [] if here == 1 else self.sessions
             agents = [] if here == 2 else self.sessions
-            for session in environments:
-                self._player(Role.ENVIRONMENT, [session], session.late)
+            if self.joint:
+                self._player(Role.ENVIRONMENT, environments, 0.0)
+            else:
+                for session in environments:
+                    self._player(Role.ENVIRONMENT, [session], session.late)
             if self.several:
                 self._player(Role.AGENT, agents, 0.0)
             else:
@@ -529,16 +582,6 @@ def _code(error: Exception) -> str:
 
 def _raise() -> bytes:
     raise ConnectionResetError
-
-
-@contextmanager
-def _small_limits(unsent: int) -> Any:
-    before = channels.MAX_UNSENT
-    channels.MAX_UNSENT = unsent  # type: ignore[misc]
-    try:
-        yield
-    finally:
-        channels.MAX_UNSENT = before  # type: ignore[misc]
 
 
 def simulate(seed: int, faults: Sequence[Fault] | None = None, trace: bool = False) -> Outcome:

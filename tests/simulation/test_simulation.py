@@ -10,7 +10,7 @@ from tests.proof import size
 from tests.simulation.__main__ import many
 from tests.simulation.diagram import diagram
 from tests.simulation.faults import Fault, drawn
-from tests.simulation.mutants import MUTANTS, Mutant, first_seed
+from tests.simulation.mutants import MUTANTS, ROOT, Mutant, first_seed
 from tests.simulation.run import simulate
 from tests.simulation.shrinking import needed
 
@@ -63,7 +63,7 @@ def test_every_promise_is_kept_and_every_situation_reached() -> None:
     total, failed, _ = many(0, size(10, 400), stop=False)
 
     assert not failed, total.problems
-    assert total.blocks > 50
+    assert total.blocks > 40
     if size(False, True):
         faults = sum(number for name, number in total.reached.items() if name.startswith("fault: "))
         assert faults > 100_000
@@ -72,17 +72,6 @@ def test_every_promise_is_kept_and_every_situation_reached() -> None:
 
 def faults_at(*faults: tuple[int, str, int]) -> list[Fault]:
     return [Fault(at, kind, which, 0.0) for at, kind, which in faults]
-
-
-def test_the_hub_names_losses_again_to_an_experiment_that_missed_them() -> None:
-    faults = faults_at(
-        *((22, "twin", 0), (26, "close", 105), (33, "break", 1565), (39, "break", 1772), (39, "twin", 0)),
-        *((44, "break", 1308), (50, "twin", 0), (52, "close", 416), (62, "break", 1682), (63, "break", 102)),
-        *((75, "twin", 0), (75, "close", 1141), (82, "twin", 0), (91, "twin", 0), (111, "break", 0)),
-        *((118, "kill", 0), (120, "close", 0)),
-    )
-
-    assert simulate(6664, faults).problems == []
 
 
 def test_half_an_episode_does_not_begin_with_a_newcomer() -> None:
@@ -129,10 +118,18 @@ def test_the_diagram_shows_faults_and_messages() -> None:
     assert any("HELLO" in line for line in lines)
 
 
+def test_every_mistake_can_be_made() -> None:
+    counts = {
+        mutant.mistake: (ROOT / mutant.file).read_text("utf-8").count(mutant.before) for mutant in MUTANTS
+    }
+
+    assert set(counts.values()) == {1}, counts
+
+
 @pytest.mark.proof
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
-    "mutant", MUTANTS[: size(1, len(MUTANTS))], ids=lambda mutant: mutant.mistake.replace(" ", "-")
+    "mutant", MUTANTS[: size(3, len(MUTANTS))], ids=lambda mutant: mutant.mistake.replace(" ", "-")
 )
 def test_a_mistake_is_found(mutant: Mutant) -> None:
     assert first_seed(mutant) is not None

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from greenlet import getcurrent
 
+from glue.client.answers import ServedPlayer
 from glue.client.experiment import connect
 from glue.doors import clock
 from glue.errors import PeerLost
@@ -66,9 +67,10 @@ class _TracedRun(Run):
     def __init__(self, seed: int, faults: list[Fault]) -> None:
         super().__init__(seed, [], trace=False)
         self.faults = faults
-        self.inside = self.keyed = self.several = self.small = False
+        self.inside = self.keyed = self.several = self.joint = self.small = False
         self.sessions = self.sessions[:1]
         self.unsent = 2**26
+        self.liar = None
         self.heartbeat, self.timeout = 1.0, 5.0
         self.calm_since = self.world.now
         session = self.sessions[0]
@@ -165,9 +167,9 @@ def _noting(run: _TracedRun) -> Iterator[None]:
         run.note("answer", str(peer.role), message.seq, of=session)
         return result
 
-    def carry_out(session: str, seq: int, kind: Kind) -> None:
+    def carry_out(player: ServedPlayer, session: str, seq: int, kind: Kind) -> None:
         current: Any = getcurrent()
-        original(session, seq, kind)
+        original(player, session, seq, kind)
         run.note("call", current.process.name, seq)
 
     changed: list[tuple[Any, str, Any]] = [

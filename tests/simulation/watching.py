@@ -1,5 +1,5 @@
-"""Judges of a simulated run: calls carried out twice, episodes void without a cause, memory, situations
-reached."""
+"""Judges of a simulated run: calls carried out twice, episodes void without a cause, memory, messages read,
+moments shown, situations reached."""
 
 from __future__ import annotations
 
@@ -13,13 +13,17 @@ from greenlet import getcurrent
 
 from glue.client import players
 from glue.client.answers import ServedPlayer
+from glue.client.sockets import SocketTransport
 from glue.hub.io import channels, inside
 from glue.hub.io.log import Log, LogLevel
 from glue.hub.io.server import Hub
 from glue.hub.session import Session
 from glue.hub.sessions import Switchboard
-from glue.wire.messages import CALLS, Kind, Message, Role
+from glue.wire.messages import CALLS, Event, Kind, Message, Role
+from tests.simulation.order import Order
+from tests.simulation.shown import MOMENTS, Shown
 from tests.simulation.world import replacing
+from tests.weighing import check
 
 if TYPE_CHECKING:
     from tests.simulation.faults import Fault
@@ -70,12 +74,18 @@ class Watch:
         self.calls = 0
         self._hubs: dict[int, Hub] = {}
         self._incarnations: Counter[tuple[int, str]] = Counter()
-        self._carried: set[tuple[int, str, int, int, int]] = set()
+        self._carried: set[tuple[ServedPlayer, str, int, int, int]] = set()
         self._roles: dict[int, tuple[Role, tuple[str, ...]]] = {}
         self._troubles: list[tuple[float, float, int]] = []  # time, duration in seconds, process; 0 for all
         self._killed: list[tuple[float, int]] = []
         # For sessions whose episode lost a player: the last request until then, and the first after it.
         self._void: dict[str, tuple[int, int]] = {}
+        # For each session: losses of players, with the number of the first request that may know of each.
+        self._losses: dict[str, list[tuple[int, Role]]] = {}
+        self._told: list[Role] = []  # players whose loss an experiment was told of, since it returned
+        self._deliveries = 0
+        self.order = Order(run.problems.append)
+        self._shown = Shown(run.problems.append)
 
     # Events that the run reports.
 
@@ -166,8 +176,8 @@ class Watch:
             for number, (each, sessions) in self._roles.items()
             if session.name in sessions and (each is role or "between" in text)
         }
-        if self._run.inside or (self._run.small and "used" in text):
-            pass
+        if "broke the protocol" in text and numbers & self._run.liars.keys():
+            return
         if any(number in numbers or number in self._hubs for when, number in self._killed if when >= since):
             return
         if (
@@ -198,6 +208,14 @@ class Watch:
                 f"{reply.seq}"
             )
 
+    def _not_told(self, session: Session) -> None:
+        """Judge (c): an experiment that returns is told of each loss of which it may not know."""
+        missed = {role for first, role in self._losses.get(session.name, ()) if first >= session._request_seq}
+        if missed - set(self._told):
+            self._run.problems.append(
+                f"(c) the experiment of {session.name} returned and was told of {self._told}, not of {missed}"
+            )
+
     def closed(self, session: Any, error: Exception) -> None:
         """Judge the error that ended an experiment's session."""
         text = str(error)
@@ -216,12 +234,12 @@ class Watch:
         if not hubs and not self._troubles and not self._killed and not self._run.small:
             self._run.problems.append(f"(c) session {session.name} was ended without a cause: {text}")
 
-    def _carry_out(self, session: str, seq: int, kind: Kind) -> None:
-        """Judge (a): a program carries out each call of a hub once."""
+    def _carry_out(self, player: ServedPlayer, session: str, seq: int, kind: Kind) -> None:
+        """Judge (a): a program carries out each call of a hub once, until it leaves."""
         current: Any = getcurrent()
         process: Process = current.process
         hub = process.heard or process.number
-        key = (process.number, session, hub, self._incarnations[hub, session], seq)
+        key = (player, session, hub, self._incarnations[hub, session], seq)
         self.note(process.name, "carries out", session, kind.name, seq)
         if key in self._carried:
             self._run.problems.append(f"(a) {process.name} carried out {kind.name} {seq} of {session} twice")
@@ -229,19 +247,14 @@ class Watch:
         self.calls = seq
 
     def _memory(self, hub: Hub) -> None:
-        """Judge (d): memory of connections and sessions is within the limit, and accounted for."""
-        limit = hub.config.max_memory
-        held = 0
-        for channel in hub._channels._open:
-            if not channel.connection.closed:
-                held += channel._stream.buffered + channel.connection.unsent
-        if held > limit:
-            self._run.problems.append(f"(d) the connections of a hub keep {held} bytes, more than {limit}")
-        for holder in hub.switchboard.memory._held:
-            if isinstance(holder, channels._Channel) and holder not in hub._channels._open:
-                self._run.problems.append("(d) the hub accounts for a connection that is closed")
-            if isinstance(holder, Session) and hub.switchboard._sessions.get(holder.name) is not holder:
-                self._run.problems.append(f"(d) the hub accounts for session {holder.name}, which is over")
+        """Judge (d): the hub's account of its memory is what its holders weigh, and within the limit."""
+        try:
+            check(hub)
+        except AssertionError as error:
+            self._run.problems.append(f"(d) {error}")
+        total, limit = hub.switchboard.memory.total, hub.config.max_memory
+        if total > limit:
+            self._run.problems.append(f"(d) a hub accounts for {total} bytes, more than {limit}")
 
     @contextmanager
     def entered(self) -> Iterator[None]:
@@ -253,14 +266,14 @@ class Watch:
 
             _now: Message
 
-            def __init__(self, role: Role, player: Any) -> None:
-                super().__init__(role, player)
+            def __init__(self, *given: Any) -> None:
+                super().__init__(*given)
                 for kind, (handler, read) in list(self._handlers.items()):
                     self._handlers[kind] = self._counted(kind, handler), read
 
             def _counted(self, kind: Kind, handler: Any) -> Any:
                 def counted(scalars: Any, body: Any) -> Any:
-                    watch._carry_out(self._now.session, self._now.seq, kind)
+                    watch._carry_out(self, self._now.session, self._now.seq, kind)
                     return handler(scalars, body)
 
                 return counted
@@ -284,6 +297,8 @@ class Watch:
             (Session, "join", self._joining(Session.join)),
             (Session, "lose", self._losing(Session.lose)),
             (channels.Channels, "drop", self._dropping(channels.Channels.drop)),
+            (SocketTransport, "send_message", self._sending(SocketTransport.send_message)),
+            (SocketTransport, "receive_message", self._reading(SocketTransport.receive_message)),
         ]
         with replacing(replaced):
             yield
@@ -292,6 +307,13 @@ class Watch:
         def deliver(channel: Any, message: Message) -> bool:
             delivered: bool = original(channel, message)
             kind = message.kind
+            self._deliveries += 1
+            if delivered:
+                self.order.sent(channel.connection._socket, message)
+                if kind in MOMENTS:
+                    self._shown.shown((channel, message.session), message)
+            if kind is Kind.NOTICE and message.scalars[0] == Event.LOST:
+                self._told.append(Role(str(message.scalars[1])))
             if kind in _OF_EPISODES:
                 self._not_void(message)
             if kind in _NAMED:
@@ -322,10 +344,37 @@ class Watch:
                 self.note("hub", "receives", _peer_of(route), message)
             if message.kind in _BEGIN and message.seq > self._void.get(message.session, (message.seq, 0))[0]:
                 del self._void[message.session]
+            if isinstance(route, channels._Channel):
+                self.order.read(route.connection._socket, message)  # type: ignore[arg-type]
+            if message.kind is Kind.OBSERVE:
+                self._shown.wanted((route, message.session), message.scalars[0])
+            member = message.kind is Kind.HELLO and message.session in switchboard._seats.get(route, {})
+            before = self._deliveries
             result: bool = original(switchboard, route, message, now)
+            if member and self._deliveries > before + 1:
+                self._run.problems.append(f"(f) {_peer_of(route)} joined {message.session} twice")
             return result
 
         return receive
+
+    def _sending(self, original: Any) -> Any:
+        def send_message(transport: Any, message: Message) -> bool:
+            current: Any = getcurrent()
+            if transport.connected and current.process.number not in self._run.liars:
+                self.order.sent(transport._socket, message)
+            sent: bool = original(transport, message)
+            return sent
+
+        return send_message
+
+    def _reading(self, original: Any) -> Any:
+        def receive_message(transport: Any, max_body: int) -> Message | None:
+            message: Message | None = original(transport, max_body)
+            if message is not None:
+                self.order.read(transport._socket, message)
+            return message
+
+        return receive_message
 
     def _opening(self, original: Any) -> Any:
         def init(session: Session, board: Any, name: str, time: Any = None) -> None:
@@ -333,6 +382,7 @@ class Watch:
             current: Any = getcurrent()
             self._incarnations[current.process.number, name] += 1
             self._void.pop(name, None)
+            self._losses.pop(name, None)
 
         return init
 
@@ -340,6 +390,7 @@ class Watch:
         def join(session: Session, peer: Any, same: bool, announce: bool) -> None:
             if not same and peer.role is Role.EXPERIMENT:
                 self._void.pop(session.name, None)
+                self._losses.pop(session.name, None)
             if same and peer.role is Role.EXPERIMENT:
                 self.seen[
                     f"hub: an experiment returned, {'a' if session._reply else 'no'} reply to repeat"
@@ -348,7 +399,10 @@ class Watch:
                 asked = session._engine.asked
                 its = asked is not None and CALLS[asked.kind].callee is peer.role
                 self.seen[f"hub: a player returned, {'a' if its else 'no'} call outstanding"] += 1
+            self._told.clear()
             original(session, peer, same, announce)
+            if peer.role is Role.EXPERIMENT:
+                self._not_told(session)
 
         return join
 
@@ -358,9 +412,12 @@ class Watch:
             when = "in an episode" if engine.in_episode else "in a verb" if engine.verb else "between verbs"
             self.seen[f"hub: lost an {peer.role} {when}"] += 1
             self.note("hub", "loses", f"{peer.role} of {session.name}", why)
-            if engine.in_episode and peer.role in (Role.AGENT, Role.ENVIRONMENT):
-                last = session._request_seq
-                self._void[session.name] = last, last + (session._reply is not None)
+            last = session._request_seq
+            first = last + (session._reply is not None)
+            if peer.role in (Role.AGENT, Role.ENVIRONMENT):
+                self._losses.setdefault(session.name, []).append((first, peer.role))
+                if engine.in_episode:
+                    self._void[session.name] = last, first
             original(session, peer, why, code)
 
         return lose

@@ -1,11 +1,10 @@
-"""The programs in docs/examples and our clients in other languages play against ours and with each other."""
+"""The programs in docs/examples play against ours and with each other."""
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -14,46 +13,32 @@ import pytest
 
 from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import connect
+from glue.conform.hub.clients import ClientProcess
+from glue.conform.hub.rules import Tier
+from glue.conform.judge import Outcome, judge
+from glue.conform.report import line
 from glue.engine.experiment import Experiment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.roles import Environment
 from glue.types import Action, Observation
+from glue.wire.messages import Role
 from tests.cc import compiled
 from tests.hubs import serving
-from tests.system.proxy import WelcomeThief
 
 EXAMPLES: Final = Path(__file__).parents[2] / "docs/examples"
-PYTHON: Final = EXAMPLES / "python"
-JAVASCRIPT: Final = Path(__file__).parents[1] / "clients/walker.mjs"
 
-Agent = Callable[[str], list[str]]
-"""The command that starts an agent at a hub."""
+Program = list[str]
+"""A command, which takes a hub and a session."""
 
 
-def python_agent(hub: str) -> list[str]:
-    return [sys.executable, str(PYTHON / "agent.py"), hub]
+def python(name: str) -> Program:
+    return [sys.executable, str(EXAMPLES / f"python/{name}.py")]
 
 
-def javascript_agent(hub: str) -> list[str]:
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("there is no node here to run the JavaScript agent")
-    return [node, str(JAVASCRIPT), hub]
-
-
-@pytest.fixture(scope="module")
-def c_agent(tmp_path_factory: pytest.TempPathFactory) -> Agent:
-    program = compiled(EXAMPLES / "c/agent.c", tmp_path_factory.mktemp("c"))
-    return lambda hub: [str(program), hub]
-
-
-@pytest.fixture(params=["python", "javascript", "c"])
-def agent(request: pytest.FixtureRequest) -> Agent:
-    if request.param == "c":
-        compiled: Agent = request.getfixturevalue("c_agent")
-        return compiled
-    return {"python": python_agent, "javascript": javascript_agent}[request.param]
+@pytest.fixture(params=["python", pytest.param("c", marks=pytest.mark.stage("conformance"))])
+def agent(request: pytest.FixtureRequest, tmp_path: Path) -> Program:
+    return python("agent") if request.param == "python" else [str(compiled(EXAMPLES / "c/agent.c", tmp_path))]
 
 
 class Wordy(Environment):
@@ -79,7 +64,7 @@ class Wordy(Environment):
 
 
 @contextmanager
-def running(command: list[str]) -> Iterator[subprocess.Popen[str]]:
+def running(command: Program) -> Iterator[subprocess.Popen[str]]:
     """Run a program; it must have ended on its own, without errors, at the end of the `with`."""
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -91,25 +76,15 @@ def running(command: list[str]) -> Iterator[subprocess.Popen[str]]:
 
 
 @contextmanager
-def table_for(
-    agent: Agent, environment: Environment, through: Callable[[str], str] = str
-) -> Iterator[Experiment]:
-    """Connect a foreign agent, our environment and an experiment to a hub of ours.
-
-    `through` may put something between the agent and the hub: it maps the hub's URL to another.
-    """
+def table_for(agent: Program, environment: Environment) -> Iterator[Experiment]:
+    """Connect a foreign agent, our environment and an experiment to a hub of ours."""
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
     url = hub.endpoints[0]
-    with (
-        running(agent(through(url))),
-        serving(url, environment),
-        hub.in_background(),
-        connect(url) as glue,
-    ):
+    with running([*agent, url]), serving(url, environment), hub.in_background(), connect(url) as glue:
         yield glue
 
 
-def test_agent_walks_the_skeleton_environment(agent: Agent) -> None:
+def test_agent_walks_the_skeleton_environment(agent: Program) -> None:
     with table_for(agent, SkeletonEnvironment()) as glue:
         assert glue.rl_init(seed=1).startswith("VERSION RL-Glue-3.0")
         assert [glue.rl_episode(max_steps) for max_steps in (0, 100, 5)] == [True, True, False]
@@ -120,7 +95,7 @@ def test_agent_walks_the_skeleton_environment(agent: Agent) -> None:
     assert said == "2 episodes, 2 in all; last seen: 1 ints, 0 doubles that sum to 0, 0 chars"
 
 
-def test_agent_reads_all_three_runs_and_the_rewards(agent: Agent) -> None:
+def test_agent_reads_all_three_runs_and_the_rewards(agent: Program) -> None:
     environment = Wordy()
     with table_for(agent, environment) as glue:
         glue.rl_init()
@@ -134,54 +109,33 @@ def test_agent_reads_all_three_runs_and_the_rewards(agent: Agent) -> None:
     assert environment.actions == [Action([1]), Action([0]), Action([0])]
 
 
-def test_agent_survives_a_connection_that_is_cut_again_and_again(agent: Agent) -> None:
-    with WelcomeThief() as proxy, table_for(agent, SkeletonEnvironment(), proxy.before) as glue:
-        glue.rl_init()
-        returns = []
-        for _ in range(3):
-            start = glue.rl_start()
-            proxy.cut()
-            states = [int(start.observation.ints[0])]
-            while not (step := glue.rl_step()).terminal:
-                states.append(int(step.observation.ints[0]))
-                if step.observation.ints[0] == 15:
-                    proxy.cut()
-            assert states == list(range(10, 20))
-            returns.append(glue.rl_return())
-        said = glue.rl_agent_message("did you notice?")
-
-    assert returns == [1.0, 1.0, 1.0]
-    assert said.startswith("3 episodes, 3 in all")
-    assert proxy.cuts >= 6
+def survives(role: Role, program: Program) -> None:
+    """Judge a program by all rules of the kit about faults and repetitions."""
+    verdicts = judge(
+        role, lambda *place: ClientProcess([*program, *place], {}), tier=Tier.SURVIVES, wait=60, quiet=0.05
+    )
+    assert [line(verdict) for verdict in verdicts if verdict.outcome is Outcome.FAILED] == []
 
 
-def test_agent_forgets_another_hub_although_welcomes_of_the_next_are_lost(agent: Agent) -> None:
-    # An agent that kept the count of the first hub would answer nothing to the second.
-    second = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
-    url = second.endpoints[0]
-    with (
-        serving(url, SkeletonEnvironment()),
-        second.in_background(),
-        WelcomeThief() as thief,
-        table_for(agent, SkeletonEnvironment(), thief.before) as glue,
-    ):
-        glue.rl_init()
-        assert glue.rl_episode()
-        thief.lead_to(url, lose=2)
-        with connect(url) as other:
-            other.rl_init()
-            assert other.rl_episode()
-            assert thief.lost
-            assert other.rl_agent_message("?").startswith("1 episodes")
-        second.stop("over")
+@pytest.mark.stage("conformance")
+def test_agent_survives(agent: Program) -> None:
+    survives(Role.AGENT, agent)
+
+
+@pytest.mark.stage("conformance")
+def test_environment_survives() -> None:
+    survives(Role.ENVIRONMENT, python("environment"))
 
 
 def test_environment_agent_and_experiment_that_know_only_the_document_play_together() -> None:
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
     url = hub.endpoints[0]
-    environment = [sys.executable, str(PYTHON / "environment.py"), url, "foreign"]
-    experiment = [sys.executable, str(PYTHON / "experiment.py"), url, "foreign"]
-    with running(environment), running([*python_agent(url), "foreign"]), hub.in_background():
+    experiment = [*python("experiment"), url, "foreign"]
+    with (
+        running([*python("environment"), url, "foreign"]),
+        running([*python("agent"), url, "foreign"]),
+        hub.in_background(),
+    ):
         done = subprocess.run(experiment, capture_output=True, text=True, timeout=60)
 
     assert done.returncode == 0, done.stderr

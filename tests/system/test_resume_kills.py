@@ -19,6 +19,8 @@ from glue.errors import ExperimentError
 from tests.proof import FULL, size
 from tests.system.runs import SLOW_AGENT, alive, children, contents, metrics, start, wait_until
 
+pytestmark = pytest.mark.stage("kills")
+
 PLAYERS = ("--env", "mines", "--env-option", "random_start=true", "--agent", "slow.py:Slow")
 PLANS = {
     "episodes": (*PLAYERS, "--episodes", size(300, 6_000), "--max-steps", 30, "--trials", 4, "--seed", 11),
@@ -103,7 +105,6 @@ def wait_for_an_episode(experiment: subprocess.Popen[str], directory: Path) -> N
     wait_while_running(experiment, lambda: stored() > before, "an episode")
 
 
-@pytest.mark.slow
 @pytest.mark.proof
 @pytest.mark.parametrize("plan", PLANS)
 def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tmp_path: Path) -> None:
@@ -140,7 +141,6 @@ def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tm
         assert results.voids()  # and so were players
 
 
-@pytest.mark.slow
 @pytest.mark.proof
 def test_search_that_is_killed_comes_to_the_same_choice(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(SEARCH)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
 import signal
 import subprocess
-import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from experiment_runner.store.results import Results
-from tests.system.runs import COMMAND, Contents, alive, children, contents, run, start, wait_until
+from tests.system.runs import COMMAND, Contents, alive, children, contents, run, wait_until
+from tests.terminal import Terminal
 
 FAULTY = '''
 import os
@@ -183,9 +183,15 @@ def test_player_that_is_killed_at_one_point_after_another_goes_on(folder: Path) 
         assert [void.episode for void in results.voids()] == [1, 2, 3, 4, 5]
 
 
-def first_line(process: subprocess.Popen[str]) -> None:
-    assert process.stdout is not None
-    assert process.stdout.readline()
+@contextmanager
+def running(*arguments: object, cwd: Path) -> Iterator[Terminal]:
+    """Yield a run that has finished its first episode."""
+    terminal = Terminal("glue-experiment", *map(str, arguments), "--json", "--out", "run", cwd=cwd)
+    try:
+        terminal.wait_for('"episode"')
+        yield terminal
+    finally:
+        terminal.close()
 
 
 INTERRUPTED = (*SARSA, "--episodes", 400, "--trials", 2)
@@ -199,81 +205,42 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     return contents(folder / "run")
 
 
-@pytest.mark.parametrize("how", [(), ("--workers", 2), ("--in-process",)])
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code", "how"),
+    [
+        (signal.SIGINT, 130, ()),
+        (signal.SIGINT, 130, ("--workers", 2)),
+        (signal.SIGINT, 130, ("--in-process",)),
+        (signal.SIGTERM, 143, ("--workers", 2)),
+    ],
+)
 def test_interrupted_run_leaves_nobody_and_goes_on(
     tmp_path: Path, how: tuple[object, ...], number: signal.Signals, code: int, undisturbed: Contents
 ) -> None:
-    process = start(*INTERRUPTED, *how, "--checkpoint-every", 1000, "--json", "--out", "run", cwd=tmp_path)
-    first_line(process)
-    everybody = children(process.pid)
-    if number is signal.SIGINT:
-        os.killpg(process.pid, number)  # as Ctrl-C does
-    else:
-        process.send_signal(number)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == code, errors
+    with running(*INTERRUPTED, *how, "--checkpoint-every", 1000, cwd=tmp_path) as terminal:
+        everybody = children(terminal.process.pid)
+        terminal.send_signal(number)  # players and workers have process groups of their own
+        assert terminal.end() == code, terminal.lines
+        errors = "\n".join(terminal.lines)
     assert "continue with: glue-experiment --resume run" in errors
     assert errors.count("interrupted") == 1, errors
     assert "Traceback" not in errors
     assert not any(map(alive, everybody))
-    for episodes, checkpoint in contents(tmp_path / "run").values():
-        if episodes and how == ("--in-process",):  # a short episode ends in time, and nothing is repeated
-            assert checkpoint is not None
-            assert checkpoint[0] == len(episodes)
     assert run("--resume", "run", "--in-process", cwd=tmp_path).returncode == 0
     assert contents(tmp_path / "run") == undisturbed
 
 
 def test_second_run_into_a_directory_is_refused(tmp_path: Path) -> None:
-    plan = (*SARSA, "--episodes", 100_000, "--workers", 1, "--in-process", "--json", "--out", "run")
-    first = start(*plan, cwd=tmp_path)
-    first_line(first)
-    second = run(*plan, cwd=tmp_path)
-    assert second.returncode == 1
-    assert second.stdout == ""
-    assert second.stderr.startswith(f"Error: run is in use by process {first.pid} on "), second.stderr
-    first.terminate()
-    first.communicate()
+    plan = (*SARSA, "--episodes", 100_000, "--workers", 1, "--in-process")
+    with running(*plan, cwd=tmp_path) as first:
+        second = run(*plan, "--json", "--out", "run", cwd=tmp_path)
+        assert (second.returncode, second.stdout) == (1, "")
+        assert second.stderr.startswith(f"Error: run is in use by process {first.process.pid} on ")
+        first.send_signal(signal.SIGTERM)
+        first.end()
 
 
-def on_a_disk(kind: str, folder: Path, *command: object) -> subprocess.CompletedProcess[str]:
-    """Run a shell command with `folder` as a disk of its own; the shell's arguments are `command`."""
-    mounting = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
-    mount = f'mount -t tmpfs -o {kind} none "$0" && cd "$0" && '
-    if not shutil.which("unshare") or subprocess.run([*mounting, mount + "true", str(folder)]).returncode:
-        pytest.skip("this user may not mount a disk")
-    script, *arguments = map(str, command)
-    return subprocess.run(
-        [*mounting, mount + script, str(folder), *arguments], capture_output=True, text=True, timeout=100
-    )
-
-
-def test_read_only_directory_is_refused(tmp_path: Path) -> None:
-    done = on_a_disk(
-        "ro", tmp_path, '"$@"', *COMMAND, *SARSA, "--episodes", 5, "--in-process", "--out", "run"
-    )
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == "Error: cannot make run: Read-only file system\n"
-
-
-def test_full_disk_is_named_and_what_was_stored_is_readable(tmp_path: Path) -> None:
-    script = '"$@" >/dev/null; code=$?; glue() { "$1" -m experiment_runner.cli.results export run; }; '
-    script += 'glue "$1" | tail -n 1 | cut -d , -f 1,2; exit $code'
-    plan = (*SARSA, "--episodes", 100_000, "--in-process", "--out", "run")
-    done = on_a_disk("size=400k", tmp_path, script, *COMMAND, *plan)
-    assert done.returncode == 1
-    trial, last = done.stdout.strip().split(",")
-    assert trial == "sarsa/mines/0"
-    assert re.fullmatch(
-        rf"Error: episode {int(last) + 1} of {trial} is not recorded(, nor are \d+ after it)?: "
-        "the disk is full; the episodes before it are. Solve that, and resume the run in run \\(--resume\\)",
-        done.stderr.strip().splitlines()[-1],
-    )
-    assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize("workers", [(), ("--workers", "1")])
+@pytest.mark.parametrize("workers", [("--workers", "1")])
 def test_file_that_may_not_grow_ends_the_run_and_what_was_stored_is_readable(
     tmp_path: Path, workers: tuple[str, ...]
 ) -> None:
@@ -294,32 +261,29 @@ def test_file_that_may_not_grow_ends_the_run_and_what_was_stored_is_readable(
 
 
 def test_players_do_not_outlive_a_killed_experiment(tmp_path: Path) -> None:
-    process = start(*SARSA, "--episodes", 100_000, "--json", "--out", "run", cwd=tmp_path)
-    first_line(process)
-    players = children(process.pid)
-    assert len(players) == 2
-    process.kill()
-    process.communicate()
+    with running(*SARSA, "--episodes", 100_000, cwd=tmp_path) as terminal:
+        players = children(terminal.process.pid)
+        assert len(players) == 2
+        terminal.send_signal(signal.SIGKILL)
+        terminal.end()
     wait_until(lambda: not any(map(alive, players)), "the end of the players")
 
 
 def test_hub_that_stays_serves_one_trial_after_another(tmp_path: Path) -> None:
     """A player from outside takes part in all of them."""
     url = "ipc://meeting"
-    scripts = Path(sys.executable).parent
-    commands = [f"{scripts}/glue-hub --bind {url}", f"{scripts}/glue-agent sarsa --hub {url}"]
     outside = [
-        subprocess.Popen(command.split(), cwd=tmp_path, stderr=subprocess.DEVNULL) for command in commands
+        Terminal(*command.split(), cwd=tmp_path)
+        for command in (f"glue-hub --bind {url}", f"glue-agent sarsa --hub {url}")
     ]
     try:
         plan = (*MINES, "--episodes", 20, "--trials", 2)
         done = run(*plan, "--hub", url, "--out", "hub", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
-        assert outside[1].poll() is None
+        assert alive(outside[1].process.pid)
     finally:
-        for process in outside:
-            process.terminate()
-            process.wait()
+        for terminal in outside:
+            terminal.close()
     [(first, _), (second, _)] = contents(tmp_path / "hub").values()
     assert len(first) == len(second) == 20
     assert first != second  # each with a seed of its own

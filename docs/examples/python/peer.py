@@ -75,7 +75,9 @@ class Connection:
                 self._new_connection(parse_monitor_message(self._monitor.recv_multipart())["event"])
             elif self._socket in ready:
                 frames = self._socket.recv_multipart()
-                kind, _, seq, *scalars = msgpack.unpackb(frames[0])
+                kind, session, seq, *scalars = msgpack.unpackb(frames[0])
+                if session not in (self.session, ""):
+                    continue
                 if kind == ERROR and scalars[0] == "unknown-peer":
                     if self.welcomed:
                         self._greet()
@@ -123,6 +125,7 @@ def serve(role: str, name: str, answer: Callable[[int, list[Any], bytes], Answer
         elif kind == REFUSE:
             sys.exit(f"refused: {scalars[1]}")
         elif kind == GOODBYE:
+            print(scalars[0])
             return
         elif kind == ERROR:
             print(f"the hub says: {scalars[1]}", file=sys.stderr)

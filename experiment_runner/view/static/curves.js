@@ -1,7 +1,7 @@
 // Learning curves drawn by the server: over episodes or steps, with bands, single trials on hover, and tables.
 
 import { count, failure, get, h, score, setText, table } from "./dom.js";
-import { settingsTable } from "./run.js";
+import { FEW, settingsTable } from "./run.js";
 import { listen } from "./stream.js";
 
 const REFRESH_SECONDS = 2;
@@ -37,10 +37,10 @@ export function mount(element, { query }) {
   const chosen = new Set(query.getAll("run"));
   const state = { over: query.get("over") === "steps" ? "steps" : "episodes", window: query.get("window") || "", measure: query.get("measure") || "return",
     logX: query.get("x") === "log", logY: query.get("y") === "log", span: null };
-  let plot = null; // the drawing's element
+  let panels = []; // a drawing for each environment: its element `plot`, and what the server says of it
   let places = []; // of all curves, along the axis
   let cursor = -1; // index of the place being read
-  let from = null; // the start of a drag
+  let from = null; // the start of a drag: its panel and place
   let data = null;
   let timer = null;
   let request = null;
@@ -111,7 +111,7 @@ export function mount(element, { query }) {
     request = new AbortController();
     if (!chosen.size) {
       data = null;
-      plot = null;
+      panels = [];
       box.replaceChildren();
       legend.replaceChildren();
       tables.replaceChildren();
@@ -151,16 +151,17 @@ export function mount(element, { query }) {
     measures.value = data.measure;
     places = [...new Set(data.curves.flatMap((curve) => curve.at))].sort((a, b) => a - b);
     [cursor, hovered, from] = [-1, -1, null];
-    plot = data.drawing ? drawing(data.drawing.svg) : null;
-    box.hidden = !plot;
-    box.replaceChildren(...[plot].filter(Boolean));
+    panels = data.drawings.map((one) => ({ ...one, plot: drawing(one.svg) }));
+    box.hidden = !panels.length;
+    box.replaceChildren(...panels.map(({ environment, plot }) =>
+      h("figure", {}, environment ? h("figcaption", {}, environment) : null, plot)));
     const next = places.findIndex((other) => other >= place);
-    if (plot && next >= 0) read(next); // readers keep their place while the runs grow
+    if (panels.length && next >= 0) read(next); // readers keep their place while the runs grow
     else setText(readout, "");
     legend.replaceChildren(...data.curves.map((curve, i) =>
       h("li", {}, h("button", { type: "button", class: "quiet", onfocus: () => highlight(i), onmouseenter: () => highlight(i),
         onblur: () => highlight(-1), onmouseleave: () => highlight(-1) }, drawing(curve.sample), " ",
-      h("span", { "aria-hidden": "true" }, MARKS[i % MARKS.length]), " ", curve.label, ` (${count(curve.trials)} trials)`))));
+      h("span", { "aria-hidden": "true" }, MARKS[i % MARKS.length]), " ", curve.label, ` (${count(curve.trials)} trials${few(curve)})`))));
     legend.children[focused]?.querySelector("button").focus();
     const what = `running mean of ${count(data.window)} ${state.over}, with 95 % bootstrap bands`;
     setText(note, data.curves.length
@@ -186,21 +187,27 @@ export function mount(element, { query }) {
     }));
   }
 
-  /** Return the pointer's position in the drawing, in the drawing's own pixels. */
-  function spot({ clientX, clientY }) {
+  /** Return the mark of a curve whose interval is one of few trials. */
+  const few = (curve) => (data.settings.find((one) => one.setting === curve.label)?.few_trials ? FEW : "");
+
+  /** Return the panel under the pointer. */
+  const panelAt = ({ target }) => panels.find(({ plot }) => plot.contains(target));
+
+  /** Return the pointer's position in a panel, in the drawing's own pixels. */
+  function spot({ clientX, clientY }, { plot }) {
     const { left, top, width, height } = plot.getBoundingClientRect();
     const { viewBox: { baseVal } } = plot;
     return [((clientX - left) * baseVal.width) / width, ((clientY - top) * baseVal.height) / height];
   }
 
-  /** Return the value on the horizontal axis at an x coordinate in pixels. */
-  function across(x) {
-    const [left, , width] = data.drawing.box;
-    return valueAt(data.drawing.x, Math.min(Math.max((x - left) / width, 0), 1));
+  /** Return the value on the horizontal axis of a panel at an x coordinate in pixels. */
+  function across(panel, x) {
+    const [left, , width] = panel.box;
+    return valueAt(panel.x, Math.min(Math.max((x - left) / width, 0), 1));
   }
 
-  /** Draw a path over the curves, replacing the previous path of its class. */
-  function overlay(name, path) {
+  /** Draw a path over the curves of a panel, replacing the previous path of its class. */
+  function overlay({ plot }, name, path) {
     plot.querySelector(`.${name}`)?.remove();
     if (!path) return;
     const element = document.createElementNS(SVG, "path");
@@ -210,41 +217,43 @@ export function mount(element, { query }) {
   }
 
   function press(event) {
-    if (!plot || event.button) return;
-    [from] = spot(event);
+    const panel = panelAt(event);
+    if (!panel || event.button) return;
+    from = { panel, x: spot(event, panel)[0] };
     box.setPointerCapture(event.pointerId);
   }
 
   function release(event) {
-    if (!plot || from === null) return;
-    const [x] = spot(event);
-    const [first, last] = [Math.min(x, from), Math.max(x, from)];
+    if (from === null) return;
+    const { panel } = from;
+    const [x] = spot(event, panel);
+    const [first, last] = [Math.min(x, from.x), Math.max(x, from.x)];
     from = null;
-    overlay("selection", "");
+    overlay(panel, "selection", "");
     if (last - first < 5) return;
-    state.span = [Math.max(0, Math.floor(across(first))), Math.ceil(across(last))];
+    state.span = [Math.max(0, Math.floor(across(panel, first))), Math.ceil(across(panel, last))];
     refresh();
   }
 
   function point(event) {
-    if (!plot) return;
-    const [x, y] = spot(event);
+    const panel = from?.panel ?? panelAt(event);
+    if (!panel) return;
+    const [x, y] = spot(event, panel);
     if (from !== null) {
-      const [, top, , height] = data.drawing.box;
-      overlay("selection", `M${from} ${top}H${x}V${top + height}H${from}Z`);
+      const [, top, , height] = panel.box;
+      overlay(panel, "selection", `M${from.x} ${top}H${x}V${top + height}H${from.x}Z`);
       return;
     }
-    const value = across(x);
+    const value = across(panel, x);
     let next = places.findIndex((place) => place >= value);
     if (next < 0) next = places.length - 1;
     if (next > 0 && value - places[next - 1] < places[next] - value) next -= 1;
     read(next);
-    highlight(nearest(y));
+    highlight(nearest(panel, y));
   }
 
   function leave() {
-    if (!plot) return;
-    overlay("cursor", "");
+    for (const panel of panels) overlay(panel, "cursor", "");
     setText(readout, "");
     highlight(-1);
   }
@@ -255,23 +264,27 @@ export function mount(element, { query }) {
     return i < 0 ? curve.at.length - 1 : i;
   }
 
-  /** Return the index of the curve nearest to a height at the place being read, or -1. */
-  function nearest(y) {
-    const [, top, , height] = data.drawing.box;
-    const away = data.curves.map((curve) => {
+  /** Return the index of the curve of a panel nearest to a height at the place being read, or -1. */
+  function nearest(panel, y) {
+    const [, top, , height] = panel.box;
+    const away = panel.curves.map((i) => {
+      const curve = data.curves[i];
       const value = curve.mean[indexOf(curve, places[cursor])];
-      return value === null ? Infinity : Math.abs(top + height * (1 - share(data.drawing.y, value)) - y);
+      return value === null ? Infinity : Math.abs(top + height * (1 - share(panel.y, value)) - y);
     });
     const least = Math.min(...away);
-    return least < NEAR ? away.indexOf(least) : -1;
+    return least < NEAR ? panel.curves[away.indexOf(least)] : -1;
   }
 
   /** Show the numbers at a place. */
   function read(i) {
     cursor = i;
     const place = places[i];
-    const [left, top, width, height] = data.drawing.box;
-    overlay("cursor", `M${left + width * share(data.drawing.x, place)} ${top}V${top + height}`);
+    for (const panel of panels) {
+      const [left, top, width, height] = panel.box;
+      const at = share(panel.x, place);
+      overlay(panel, "cursor", at < 0 || at > 1 ? "" : `M${left + width * at} ${top}V${top + height}`);
+    }
     setText(readout, `${state.over.slice(0, -1)} ${count(place)}: ` + data.curves.map((curve) => {
       const k = indexOf(curve, place);
       return `${curve.label} ${score(curve.mean[k])}` + (curve.low[k] === null ? "" : ` (${score(curve.low[k])} to ${score(curve.high[k])})`);
@@ -279,13 +292,15 @@ export function mount(element, { query }) {
   }
 
   function highlight(i) {
-    if (i === hovered || !plot) return;
+    if (i === hovered) return;
     hovered = i;
-    for (const trials of plot.querySelectorAll(".trials")) trials.classList.toggle("lit", Number(trials.dataset.curve) === i);
+    for (const { plot, curves } of panels) {
+      for (const trials of plot.querySelectorAll(".trials")) trials.classList.toggle("lit", curves[Number(trials.dataset.curve)] === i);
+    }
   }
 
   function move(event) {
-    if (!plot || !data) return;
+    if (!panels.length) return;
     const last = places.length - 1;
     const next = { ArrowLeft: cursor - 1, ArrowRight: cursor + 1, Home: 0, End: last }[event.key];
     if (next === undefined) return;
@@ -298,8 +313,8 @@ export function mount(element, { query }) {
     link.click();
   }
 
-  async function savePicture() {
-    if (!plot) return;
+  /** Return a panel as an image, with the colors that the style sheet gives it. */
+  async function imageOf({ plot }) {
     const copy = plot.cloneNode(true);
     const painted = [...plot.querySelectorAll("*")];
     [...copy.querySelectorAll("*")].forEach((element, i) => {
@@ -311,16 +326,28 @@ export function mount(element, { query }) {
     image.src = url;
     await image.decode();
     URL.revokeObjectURL(url);
-    const { width, height } = plot.viewBox.baseVal;
+    return image;
+  }
+
+  /** Save the panels, one below the other, and the legend. */
+  async function savePicture() {
+    if (!panels.length) return;
+    const images = await Promise.all(panels.map(imageOf));
+    const { width, height: tall } = panels[0].plot.viewBox.baseVal;
     const line = 24;
+    const height = (tall + line) * panels.length;
     const canvas = h("canvas", { width: FINE * width, height: FINE * (height + line * data.curves.length) });
     const context = canvas.getContext("2d");
     const styles = getComputedStyle(document.documentElement);
     context.fillStyle = styles.getPropertyValue("--card").trim();
     context.fillRect(0, 0, canvas.width, canvas.height);
     context.scale(FINE, FINE);
-    context.drawImage(image, 0, 0, width, height);
     context.font = "14px system-ui";
+    context.fillStyle = styles.getPropertyValue("--text").trim();
+    images.forEach((image, i) => {
+      context.fillText(panels[i].environment, 20, (tall + line) * i + 17);
+      context.drawImage(image, 0, (tall + line) * i + line, width, tall);
+    });
     context.lineWidth = 2.5;
     [...legend.querySelectorAll("polyline")].forEach((sample, i) => {
       const y = height + line * (i + 0.5);

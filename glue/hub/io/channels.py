@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from glue.doors import network
+from glue.doors import clock, network
 from glue.errors import RemoteProtocolError
 from glue.hub.config import Bind, HubConfig
 from glue.hub.io.connection import Connection, take_leave
@@ -38,14 +38,14 @@ MAX_UNSENT: Final = 64 * 2**20
 MAX_UNSEATED: Final = 256
 """Maximum number of connections without a seat; one more, and the oldest is dropped."""
 
-GREETING_SECONDS: Final = 1.0
-"""Seconds that a connection may be without a seat before it is dropped, at the next tick."""
+_BASE: Final = 6144
+"""Bytes that a connection uses at most besides what it has received and not sent."""
+
+_SEAT: Final = 4608
+"""Bytes that a seat uses at most: the peer, its names, and the formats of its steps."""
 
 _MAX_COPIED: Final = 65_536
 """Maximum size of a body that is sent together with its head, in bytes; copying more costs memory."""
-
-_FAREWELL_SECONDS: Final = 1.0
-"""Maximum number of seconds that the hub waits, when it closes, for its last messages to be read."""
 
 _HELLO: Final = Kind.HELLO
 
@@ -75,6 +75,7 @@ class _Channel:
         self._held = 0
         self._dismissed = False
         connection.owner = self
+        self.account()
 
     def admits(self, role: Role, session: str) -> bool:
         """Return whether a peer that connects here may join `session` as `role`."""
@@ -125,17 +126,26 @@ class _Channel:
     def forget(self, session: str) -> None:
         """Forget what was learned of the messages of a session, in which it takes part no longer."""
         self._stream.forget(session)
+        self.account()
 
     def evict(self, why: str) -> None:
-        """Drop the connection, which uses too much memory."""
-        self._channels.drop(self, why)
+        """Drop the connection, which uses too much memory, or its seats if it is gone already."""
+        if self.connection.closed:
+            self._switchboard.lose(self, why, clock.monotonic())
+        else:
+            self._channels.drop(self, why)
 
     def _weigh(self) -> None:
         """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
         held = self._stream.buffered + self.connection.unsent
-        if held != self._held and not self.connection.closed:
+        if held != self._held:
             self._held = held
-            self._switchboard.memory.hold(self, held)
+            self.account()
+
+    def account(self) -> None:
+        """Account for the connection, if it is open, and for its seats, which may outlast it."""
+        used = 0 if self.connection.closed else _BASE + self._held
+        self._switchboard.memory.hold(self, used + _SEAT * self._switchboard.num_seats(self))
 
     def ready(self, now: float) -> None:
         """Act on messages received, at most one for each seat."""
@@ -289,7 +299,7 @@ class Channels:
             listener.stop()
         for channel in self._open:
             channel.connection.finish()
-        take_leave(lambda: [channel.connection for channel in self._open], _FAREWELL_SECONDS)
+        take_leave(lambda: [channel.connection for channel in self._open], self._config.farewell)
         for channel in self._open:
             channel.close()
 
@@ -314,6 +324,7 @@ class Channels:
 
     def greeted(self, channel: _Channel, hello: Message) -> None:
         """Note that a HELLO of a connection was answered."""
+        channel.account()
         if channel.seated:
             self._unseated.pop(channel, None)
         capabilities = hello.scalars[-1]
@@ -325,10 +336,10 @@ class Channels:
         """Close a connection; `why`, if it should be logged, completes a sentence about it."""
         if why is not None:
             self.complain(channel, why)
-        self.switchboard.memory.hold(channel, 0)
         self._open.pop(channel, None)
         self._unseated.pop(channel, None)
         channel.close()
+        channel.account()
         self._log.connection(f"{channel.connection.name} is gone")
 
     def complain(self, channel: _Channel, why: str) -> None:
@@ -358,10 +369,11 @@ class Channels:
     def _left(self, route: Route, session: str) -> None:
         if isinstance(route, _Channel):
             route.forget(session)
+            route.account()
 
     def _tick(self, now: float) -> None:
         for channel in list(self._open):
             if channel.seated:
                 self._unseated.pop(channel, None)
-            elif now - self._unseated.setdefault(channel, now) >= GREETING_SECONDS:
+            elif now - self._unseated.setdefault(channel, now) >= self._config.greeting:
                 self.drop(channel, None)

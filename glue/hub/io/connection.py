@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Final, Protocol
@@ -18,6 +19,9 @@ from glue.sockets.options import probe_when_silent
 
 _CHUNK: Final = 65_536
 """Maximum bytes to read at once; a larger buffer costs a system call, even if the message is short."""
+
+_PIECE: Final = 65_536
+"""Size in bytes from which unsent data is kept as it is; less is copied into pieces of about this size."""
 
 _AT_ONCE: Final = struct.pack("ii", 1, 0)
 """Value of SO_LINGER: unsent data is dropped, and the other side sees a reset."""
@@ -50,7 +54,8 @@ class Connection:
     Attributes:
         owner: handler of the connection's events; set by the owner itself.
         in_turn: whether the last message of the peer was in turn; set by the owner.
-        unsent: number of bytes still to be sent, as the peer does not read.
+        unsent: number of bytes kept until they are sent, as the peer does not read; 0 if all are sent. Of a
+            large piece of data, the part that has been sent counts too: it is kept until the rest is sent.
         closed: whether the connection is closed.
     """
 
@@ -65,7 +70,8 @@ class Connection:
         self.closed: bool = False
         self._loop = loop
         self._socket = connected
-        self._unsent = bytearray()
+        self._unsent: deque[bytes | bytearray] = deque()
+        self._sent = 0  # number of bytes of the first unsent piece that have been sent
         self.unsent: int = 0
         self._reading = True
         self._later = False
@@ -123,17 +129,21 @@ class Connection:
 
     def send(self, data: bytes) -> None:
         """Send `data`, now or as soon as the other side reads."""
-        if not self.unsent:
+        pieces = self._unsent
+        if not pieces:
             try:
-                sent = self._socket.send(data)
+                self._sent = self._socket.send(data)
             except OSError as error:
-                sent = self._failed_to_send(error, data)
-            if sent == len(data):
+                self._sent = self._failed_to_send(error, data)
+            if self._sent == len(data):
                 return
-            self._unsent += memoryview(data)[sent:]
+        if len(data) >= _PIECE:
+            pieces.append(data)
+        elif pieces and type(last := pieces[-1]) is bytearray and len(last) < _PIECE:
+            last += data
         else:
-            self._unsent += data
-        self.unsent = len(self._unsent)
+            pieces.append(bytearray(data))
+        self.unsent += len(data)
         self._watch()
 
     def finish(self) -> None:
@@ -194,13 +204,17 @@ class Connection:
 
     def _catch_up(self) -> None:
         self._later = False
-        if self._unsent:
+        pieces = self._unsent
+        if pieces:
+            rest = memoryview(pieces[0])[self._sent :]
             try:
-                sent = self._socket.send(self._unsent)
+                sent = self._socket.send(rest)
             except OSError as error:
-                sent = self._failed_to_send(error, self._unsent)
-            del self._unsent[:sent]
-            self.unsent = len(self._unsent)
+                sent = self._failed_to_send(error, rest)
+            self._sent += sent
+            if sent == len(rest):
+                self._sent = 0
+                self.unsent -= len(pieces.popleft())
             if self._finishing:
                 self._end_if_sent()
         if not self._reading and self._socket.getsockopt(network.SOL_SOCKET, network.SO_ERROR):
@@ -212,7 +226,7 @@ class Connection:
         self._gone = True
         return b""
 
-    def _failed_to_send(self, error: OSError, data: bytes | bytearray) -> int:
+    def _failed_to_send(self, error: OSError, data: bytes | memoryview) -> int:
         """Return how many bytes of `data` need not be sent any more: all, if the other side is gone."""
         if isinstance(error, BlockingIOError):
             return 0

@@ -18,9 +18,6 @@ from glue.doors import threads
 _CAPACITY: Final = 1000
 """Maximum number of lines that wait to be written."""
 
-_FLUSH_SECONDS: Final = 1.0
-"""Maximum number of seconds that `close` waits for the last lines to be written."""
-
 
 class LogLevel(IntEnum):
     """The level of a log line; a log writes the lines up to a level."""
@@ -80,13 +77,13 @@ class Log:
         """Log a line about a connection."""
         self(line, LogLevel.CONNECTIONS)
 
-    def close(self) -> None:
-        """Wait briefly until all lines are written; later lines are dropped."""
+    def close(self, seconds: float) -> None:
+        """Wait at most `seconds` until all lines are written; later lines are dropped."""
         with self._changed:
             self._closed = True
             self._changed.notify()
         if self._thread is not None:
-            self._thread.join(_FLUSH_SECONDS)
+            self._thread.join(seconds)
 
     def _run(self) -> None:
         while True:

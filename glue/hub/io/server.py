@@ -61,7 +61,7 @@ class Hub(Closing):
         self.config = config
         self.log: Log = log if isinstance(log, Log) else Log(log)
         with ExitStack() as closing:
-            closing.callback(self.log.close)
+            closing.callback(self.log.close, config.farewell)
             addresses = [
                 (bind, opened.get(bind.url) or closing.enter_context(open_address(bind.url)))
                 for bind in config.binds

@@ -5,20 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 
 from agents.mario.actions import ACTIONS, LEFT, action_number
-from agents.mario.archive import Archive
 from agents.mario.best import BestAgent
 from env_server.mario.environment import InfiniteMario
-from glue.errors import ConfigError, RemoteProtocolError, SaveError
-from glue.options import parameters
-from glue.roles import Environment, capabilities
-from glue.saves import Saved, generator_array, pack, unpack
-from glue.testing import check_agent
+from glue.errors import RemoteProtocolError
+from glue.roles import Environment
+from glue.saves import unpack
 from glue.types import Action, Observation
-from tests.agents.topologies import check_same_over_sockets
 
 if TYPE_CHECKING:
     from tests.agents.conftest import Draw
@@ -238,42 +233,6 @@ def test_a_short_level_is_finished_better_and_better(difficulty: int) -> None:
     assert max(returns) > max(returns[:20])
 
 
-def test_the_same_seed_gives_the_same_actions() -> None:
-    def actions(experiments_seed: int, own_seed: int | None = None) -> list[list[Action]]:
-        agent, environment = BestAgent(seed=own_seed), short_level()
-        agent.agent_seed(experiments_seed)
-        agent.agent_init(environment.env_init())
-        return play(agent, environment, 20)[0]
-
-    assert actions(3) == actions(3)
-    assert actions(3) != actions(4)
-    assert actions(4, own_seed=3) == actions(3)
-
-
-def test_init_forgets_everything() -> None:
-    environment = short_level()
-    agent = started(environment)
-    first = play(agent, environment, 20)
-    agent.agent_cleanup()
-    agent.agent_init(environment.env_init())
-    assert play(agent, environment, 20) == first
-
-
-def test_an_agent_loaded_goes_on_as_the_one_that_was_saved() -> None:
-    environment = short_level(1)
-    agent = started(environment)
-    play(agent, environment, 60)
-    saved = agent.agent_save()
-    other = started(short_level(), seed=2)
-    twin = short_level(1)
-    twin.env_init()
-    twin.env_load(environment.env_save())
-    other.agent_load(saved)
-    assert other.agent_save() == saved
-    assert play(other, twin, 60) == play(agent, environment, 60)
-    assert other.agent_save() == agent.agent_save() != saved
-
-
 def test_without_learning_the_best_episode_is_repeated_and_nothing_changes() -> None:
     environment = short_level()
     agent = started(environment)
@@ -287,11 +246,6 @@ def test_without_learning_the_best_episode_is_repeated_and_nothing_changes() -> 
     environment.env_init()
     assert play(watched, environment, 1)[1] == [max(returns)]
     assert memory(watched) == memory(agent)
-
-
-def test_another_task_is_refused_in_words() -> None:
-    with pytest.raises(ConfigError, match="agent best plays Infinite Mario"):
-        BestAgent().agent_init("VERSION RL-Glue-3.0 PROBLEMTYPE episodic")
 
 
 @pytest.mark.parametrize(
@@ -317,53 +271,3 @@ def test_messages_are_answered(task_spec: str) -> None:
     agent.agent_init(task_spec)
     assert [agent.agent_message(each) for each in ("best", "cells", "epsilon")] == ["none", "0", "1.0"]
     assert "answers only the messages best, cells and epsilon" in agent.agent_message("hello")
-
-
-def test_every_option_is_explained() -> None:
-    assert all(option.option.help for option in parameters(BestAgent).values())
-    assert capabilities(BestAgent()) == ("save", "seed")
-
-
-GENERATOR = generator_array(np.random.default_rng(1))
-WORLDS = np.array([7])
-NO_WORLDS = np.empty(0, np.int64)
-ARCHIVE = {f"0 {name}": array for name, array in Archive().arrays().items()}
-
-
-@pytest.mark.parametrize(
-    ("episodes", "arrays"),
-    [
-        (3, {"worlds": NO_WORLDS}),
-        (3, {"worlds": NO_WORLDS, "generator": GENERATOR[:39]}),
-        (-1, {"worlds": NO_WORLDS, "generator": GENERATOR}),
-        (3, {"generator": GENERATOR}),
-        (3, {"worlds": np.empty(0), "generator": GENERATOR}),
-        (3, {"worlds": WORLDS, "generator": GENERATOR}),
-        (3, {"worlds": WORLDS, "generator": GENERATOR, **ARCHIVE, "0 values": np.zeros(1)}),
-        (3, {"worlds": np.array([7, 8]), "generator": GENERATOR, **ARCHIVE}),
-        (3, {"worlds": np.arange(9), "generator": GENERATOR, **ARCHIVE}),
-    ],
-)
-def test_what_the_agent_cannot_have_saved_is_refused(
-    task_spec: str, episodes: int, arrays: dict[str, Any]
-) -> None:
-    agent = BestAgent()
-    agent.agent_init(task_spec)
-    before = agent.agent_save()
-    with pytest.raises(SaveError):
-        agent.agent_load(pack(Saved("best", {}, {"episodes": episodes}, arrays)))
-    assert agent.agent_save() == before
-    whole = {"worlds": WORLDS, "generator": GENERATOR, **ARCHIVE}
-    agent.agent_load(pack(Saved("best", {}, {"episodes": 3}, whole)))
-    assert agent.agent_save() != before
-
-
-def test_the_agent_keeps_the_contract(draw: Draw, task_spec: str) -> None:
-    def screen(generator: np.random.Generator) -> Observation:
-        return draw("7" * 21, at=(float(generator.uniform(0, 21)), float(generator.uniform(-1, 17))))
-
-    check_agent(BestAgent, task_spec, observation=screen)
-
-
-def test_over_sockets_the_agent_acts_as_in_one_process() -> None:
-    check_same_over_sockets(BestAgent, short_level)

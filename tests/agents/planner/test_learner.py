@@ -98,10 +98,3 @@ def test_planner_that_is_told_the_constants_predicts_with_them() -> None:
     for wrong in ("speed_rum=1", "speed_run=fast", "speed_run=nan", "speed_run=1e9"):
         with pytest.raises(ConfigError):
             PlannerAgent(constants=wrong)
-
-
-def test_second_init_forgets_everything() -> None:
-    agent = made()
-    first = [played(agent, {"mdp": "proving-6"}, level) for level in (2, 1)]
-    agent.agent_init(TASK_SPEC)
-    assert [played(agent, {"mdp": "proving-6"}, level) for level in (2, 1)] == first

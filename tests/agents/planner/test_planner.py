@@ -12,7 +12,7 @@ from agents.planner.agent import PlannerAgent
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.game import Game
 from env_server.mario.level_sets import LEVEL_SETS
-from glue.errors import ConfigError, SaveError
+from glue.errors import SaveError
 
 TASK_SPEC = (
     "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
@@ -48,11 +48,6 @@ def made(**options: object) -> PlannerAgent:
 @pytest.mark.parametrize("level", [0, 1, 2, 9, 102])
 def test_goal_is_reached_at_first_sight(level: int) -> None:
     assert [*play(made(), level)][-1][1] == 100
-
-
-def test_same_budget_gives_the_same_actions() -> None:
-    first, second = ([*play(made(bonus=15.0), 3, 60)] for _ in range(2))
-    assert first == second
 
 
 def test_more_time_for_each_step_is_more_model_steps() -> None:
@@ -117,14 +112,9 @@ def test_plan_begins_where_mario_will_be() -> None:
         action = agent.agent_step(reward, observation)
 
 
-def test_other_tasks_are_refused() -> None:
-    with pytest.raises(ConfigError):
-        PlannerAgent().agent_init("VERSION RL-Glue-3.0 PROBLEMTYPE episodic")
-
-
 def test_known_level_is_planned_as_a_whole() -> None:
     """A route is never worse than the best episode before it, and is saved with the level."""
-    agent, other = made(bonus=15.0, study=60_000), made(bonus=15.0, study=60_000)
+    agent, other = made(bonus=15.0, study=6_000), made(bonus=15.0, study=6_000)
     totals = [sum(reward for _, reward in play(agent, 3)) for _ in range(2)]
     other.agent_load(agent.agent_save())
     assert [*play(agent, 3)] == [*play(other, 3)]

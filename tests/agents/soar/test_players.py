@@ -12,7 +12,6 @@ from agents.soar.agents import SoarAgent, SoarHierarchicalAgent, SoarMinesAgent
 from agents.soar.kernel import SoarError
 from agents.soar.player import SoarPlayer
 from agents.soar.rules import parse_rules
-from env_server.mario.environment import InfiniteMario
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from glue.engine.local import local
 from glue.errors import ConfigError, GlueError, SaveError
@@ -76,41 +75,6 @@ def test_the_example_learns_the_way_across_the_mines() -> None:
     agent = begun(SoarMinesAgent(), mines)
     learned = returns(agent, mines, 400, limit=500)
     assert sum(learned[-50:]) / 50 > sum(learned[:50]) / 50 + 20
-
-
-@pytest.mark.parametrize("kind", [SoarMinesAgent, SoarHierarchicalAgent])
-def test_the_same_seed_gives_the_same_episodes(kind: type[SoarPlayer]) -> None:
-    game = InfiniteMario(max_trial_steps=60) if kind is SoarHierarchicalAgent else MinesEnvironment()
-
-    def played(seed: int) -> list[float]:
-        return returns(begun(kind(), game, seed), game, 12, limit=200)  # type: ignore[call-arg]
-
-    assert played(3) == played(3)
-    assert played(3) != played(4)
-
-
-@pytest.mark.parametrize("kind", [SoarMinesAgent, SoarHierarchicalAgent])
-def test_an_agent_that_was_loaded_goes_on_as_the_one_that_was_saved(kind: type[SoarPlayer]) -> None:
-    def game() -> Environment:
-        return InfiniteMario(max_trial_steps=80) if kind is SoarHierarchicalAgent else MinesEnvironment()
-
-    first = game()
-    agent = begun(kind(), first)  # type: ignore[call-arg]
-    returns(agent, first, 10, limit=200)
-    saved = agent.agent_save()
-    second = game()
-    heir = begun(kind(), second)  # type: ignore[call-arg]
-    heir.agent_load(saved)
-    assert heir.agent_message("values") == agent.agent_message("values")
-    assert heir.agent_message("epsilon") == agent.agent_message("epsilon")
-    assert returns(heir, fresh(game), 10, limit=200) == returns(agent, fresh(game), 10, limit=200)
-    assert heir.agent_save() == agent.agent_save()
-
-
-def fresh(game: Callable[[], Environment]) -> Environment:
-    made = game()
-    made.env_init()
-    return made
 
 
 def test_a_cut_off_episode_teaches_nothing_more() -> None:

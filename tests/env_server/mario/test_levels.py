@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,11 +29,10 @@ from env_server.mario.sim.tiles import (
     WALLS,
     cells_at,
 )
+from tests.env_server.mario.golden_check import DIGESTS
 
-Options = dict[str, int | str]
 
-
-def level(options: Options) -> LevelMap:
+def level(options: Mapping[str, Any]) -> LevelMap:
     game = Game(InfiniteMario(**options).parameters)
     game.start()
     return game.level_map
@@ -49,54 +50,15 @@ def short_digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:16]
 
 
-@pytest.mark.parametrize(
-    ("options", "columns", "exit_x", "counts", "tiles", "spawns"),
-    [
-        ({}, 370, 317, (4, 0), "d88210d23f1310bc", "502418047e7c9113"),
-        ({"mdp": "proving-1"}, 370, 319, (4, 0), "4a6385bb768fbb05", "0fbb08ac917d74d4"),
-        ({"mdp": "proving-2"}, 370, 320, (13, 2), "051616f2d560443e", "842fe6a8dc6b8216"),
-        ({"mdp": "proving-3"}, 370, 314, (21, 3), "e19fcfbf152befd8", "a20e848fab3652a2"),
-        ({"mdp": "proving-4"}, 370, 320, (56, 12), "99399fe3150d5f96", "5649b2e4d878568f"),
-        ({"mdp": "proving-5"}, 370, 323, (52, 15), "0fa71ad59dda6c19", "f2b5816a90053092"),
-        ({"mdp": "proving-6"}, 370, 319, (35, 4), "f9dc0e852c78fc93", "f4e7dc46633853c7"),
-        ({"mdp": "proving-7"}, 370, 319, (29, 3), "1d1e76d60255ccf5", "9ad1959c988c036a"),
-        ({"mdp": "proving-8"}, 370, 320, (27, 5), "aa8d2335190cdbf6", "143142bc1d130ac2"),
-        ({"mdp": "proving-9"}, 550, 496, (30, 2), "0adcbdf4e92d0a29", "1352fb0393ac0208"),
-        ({"mdp": "proving-10"}, 550, 499, (75, 30), "5ca905e8598f1d98", "a02c628b52da51ee"),
-        ({"mdp": "testing-1"}, 370, 315, (15, 0), "e06f8d9d633b20fd", "f973fdc375364427"),
-        ({"mdp": "testing-2"}, 370, 322, (22, 2), "e7a317c1b3559088", "20a33ad64e1de5f5"),
-        ({"mdp": "testing-3"}, 370, 315, (37, 8), "a975a055c38ddd3b", "a02187f7e48f692f"),
-        ({"mdp": "testing-4"}, 370, 314, (48, 10), "4710515e81af65b4", "2f8958f2013df3e5"),
-        ({"mdp": "testing-5"}, 370, 322, (78, 18), "3c2ea9561ee65cf7", "78e6ed8b71d3e3b2"),
-        ({"mdp": "testing-6"}, 370, 320, (43, 8), "f5e6572670ca4e04", "b4f01e1c9088bc4f"),
-        ({"mdp": "testing-7"}, 370, 320, (24, 9), "caf94f9ce02e900f", "0541d6910d9fd3bd"),
-        ({"mdp": "testing-8"}, 370, 318, (38, 4), "8fd788fdfe722572", "8fbd5a9de896b390"),
-        ({"mdp": "testing-9"}, 550, 504, (29, 4), "2b38a0e9ea3f5465", "ed35d9dc445eb626"),
-        ({"mdp": "testing-10"}, 550, 500, (116, 34), "a63151d8295d6a2f", "d43f16e991a6062a"),
-        (
-            {"level_seed": -7, "level_type": 2, "level_difficulty": 20, "level_width": 620},
-            *(670, 618, (72, 24), "b28b62ebe3987745", "8829cb3b7a5f6397"),
-        ),
-        (
-            {"level_seed": 0, "level_type": 1, "level_difficulty": 1, "level_width": 20},
-            *(70, 21, (0, 0), "bf265d12458412e5", "e3b0c44298fc1c14"),
-        ),
-        (
-            {"level_seed": 2147483647, "level_difficulty": 3, "level_width": 150},
-            *(200, 154, (6, 0), "91acd545138e3f29", "02af39824e1f0022"),
-        ),
-    ],
-)
-def test_level_is_the_original_one(
-    options: Options, columns: int, exit_x: int, counts: tuple[int, int], tiles: str, spawns: str
-) -> None:
-    made = level(options)
+@pytest.mark.parametrize("known", DIGESTS["levels"], ids=lambda known: str(known["options"]))
+def test_level_is_the_original_one(known: dict[str, Any]) -> None:
+    made = level(known["options"])
     points = spawn_points(made)
-    assert (made.columns, made.exit_x) == (columns, exit_x)
-    assert (len(points), sum(winged for *_, winged in points)) == counts
-    assert short_digest(made.tiles[: made.columns].tobytes()) == tiles
+    assert (made.columns, made.exit_x) == (known["columns"], known["exit_x"])
+    assert [len(points), sum(winged for *_, winged in points)] == known["counts"]
+    assert short_digest(made.tiles[: made.columns].tobytes()) == known["tiles"]
     listed = "".join(f"{x},{y},{kind},{winged};" for x, y, kind, winged in points)
-    assert short_digest(listed.encode()) == spawns
+    assert short_digest(listed.encode()) == known["spawns"]
 
 
 @settings(deadline=None)
@@ -107,14 +69,8 @@ def test_level_is_the_original_one(
     width=st.integers(0, 2000),
 )
 def test_every_level_can_be_begun_and_left(seed: int, kind: int, difficulty: int, width: int) -> None:
-    made = level(
-        {
-            "level_seed": seed,
-            "level_type": kind,
-            "level_difficulty": difficulty,
-            "level_width": width,
-        }
-    )
+    task = {"level_seed": seed, "level_type": kind, "level_difficulty": difficulty, "level_width": width}
+    made = level(task)
     assert made.columns == width + 50
     assert 0 < made.exit_x < made.columns
     solid = BEHAVIOR[made.tiles[: made.columns]] & STOPS_ALL != 0

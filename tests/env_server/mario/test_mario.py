@@ -15,6 +15,7 @@ from glue.errors import SaveError, SimulatorError
 from glue.options import build, parameters
 from glue.roles import capabilities
 from glue.types import Action, Observation
+from tests.env_server.mario.golden_check import DIGESTS
 
 Options = dict[str, Any]
 RUN_RIGHT = Action(ints=[1, 0, 1])
@@ -37,49 +38,13 @@ def play_to_the_end(environment: InfiniteMario, action: Action) -> tuple[float, 
             return reward, observation
 
 
-@pytest.mark.parametrize(
-    ("options", "steps", "returns", "digest"),
-    [
-        ({}, (134, 134), (-0.33, 0.67), "7fb080c3e957e60c"),
-        ({"instance": 1}, (134, 134), (-1.33, -1.33), "b5bbe74fdae9d27e"),
-        ({"instance": 2}, (134, 134), (-101.33, -101.33), "b4a2ff1c1e15304e"),
-        ({"instance": 3}, (101, 101), (8.0, 9.0), "040ec455c059ab5f"),
-        ({"instance": 4}, (101, 101), (-1.0, -1.0), "f8f6ec4404068419"),
-        ({"instance": 5}, (400, 400), (-3.0, -3.0), "a41d6549e12ba8b4"),
-        ({"instance": 6}, (83, 196), (-2.82, 111.05), "88bb66879e56e702"),
-        ({"instance": 7}, (62, 62), (-4.61, -2.61), "7271e86366392b82"),
-        ({"instance": 8}, (134, 134), (-0.33, 0.67), "7fb080c3e957e60c"),
-        ({"instance": 9}, (162, 162), (7.39, 9.39), "479976f2e0da568f"),
-        ({"mdp": "proving-1"}, (119, 119), (-1.18, -1.18), "772489e824106323"),
-        ({"mdp": "proving-2"}, (11, 11), (-10.1, -10.1), "9ea476fcf3b84fd7"),
-        ({"mdp": "proving-3"}, (10, 10), (-10.09, -10.09), "54b557502e81cdbd"),
-        ({"mdp": "proving-4"}, (10, 10), (-0.09, -0.09), "aeb4fecafc5ea1ef"),
-        ({"mdp": "proving-5"}, (10, 10), (-0.09, -0.09), "0978e3be8f2347d8"),
-        ({"mdp": "proving-6"}, (22, 22), (-0.21, -0.21), "452f0cd82abfb861"),
-        ({"mdp": "proving-7"}, (7, 7), (-0.06, -0.06), "918f3099913efe21"),
-        ({"mdp": "proving-8"}, (5, 22), (-0.04, -0.21), "616a65760c9eba50"),
-        ({"mdp": "proving-9"}, (17, 28), (-4.16, -7.27), "8aa02c9f8ead1012"),
-        ({"mdp": "proving-10"}, (8, 8), (-10.07, -10.07), "b0dd479b4f007fbc"),
-        ({"mdp": "testing-1"}, (30, 27), (-7.29, -9.26), "684dabe88645d2ae"),
-        ({"mdp": "testing-2"}, (7, 7), (-10.06, -10.06), "a8968b084049d017"),
-        ({"mdp": "testing-3"}, (8, 7), (-10.07, -10.06), "253eb0c9af72cd15"),
-        ({"mdp": "testing-4"}, (14, 9), (-0.13, -0.08), "fb3f4df96b8c5d56"),
-        ({"mdp": "testing-5"}, (6, 6), (-0.05, -0.05), "75f04d217d5fcdab"),
-        ({"mdp": "testing-6"}, (6, 7), (-0.05, -0.06), "7aba4081e8773dcc"),
-        ({"mdp": "testing-7"}, (12, 12), (-0.11, -0.11), "3044027a1a16e10f"),
-        ({"mdp": "testing-8"}, (4, 4), (-0.03, -0.03), "fabf028a41da4dff"),
-        ({"mdp": "testing-9"}, (43, 43), (-8.42, -8.42), "b7b17dc733a5ee96"),
-        ({"mdp": "testing-10"}, (9, 9), (-10.08, -10.08), "e8ef971f371523a9"),
-    ],
-)
-def test_published_task_plays_as_the_original(
-    options: Options, steps: tuple[int, int], returns: tuple[float, float], digest: str
-) -> None:
+@pytest.mark.parametrize("known", DIGESTS["tasks"], ids=lambda known: str(known["options"]))
+def test_published_task_plays_as_the_original(known: dict[str, Any]) -> None:
     """Two episodes of at most 400 fixed actions, against digests taken from the original."""
-    environment = build(InfiniteMario, options)
+    environment = build(InfiniteMario, known["options"])
     environment.env_init()
     seen = hashlib.sha256()
-    for expected_steps, expected_return in zip(steps, returns, strict=True):
+    for expected_steps, expected_return in zip(known["steps"], known["returns"], strict=True):
         seen.update(packed(0.0, environment.env_start(), False))
         rewards: list[float] = []
         ended = False
@@ -91,7 +56,7 @@ def test_published_task_plays_as_the_original(
             seen.update(packed(reward, observation, ended))
         assert len(rewards) == expected_steps
         assert round(sum(rewards), 6) == expected_return
-    assert seen.hexdigest()[:16] == digest
+    assert seen.hexdigest()[:16] == known["digest"]
 
 
 def packed(reward: float, observation: Observation, ended: bool) -> bytes:
@@ -241,13 +206,6 @@ def test_buttons_held_at_the_end_move_the_next_episode() -> None:
     # Mario died in the first tick of a step, which releases run but not right.
     assert environment.env_start().doubles[0] == 2.0708749294281006
     play_to_the_end(environment, STAND)
-    assert environment.env_start().doubles[0] == 2.0
-
-
-def test_init_begins_afresh() -> None:
-    environment = begun(max_trial_steps=5)
-    play_to_the_end(environment, RUN_RIGHT)
-    environment.env_init()
     assert environment.env_start().doubles[0] == 2.0
 
 

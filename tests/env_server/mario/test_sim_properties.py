@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from env_server.mario.game import Game
 from glue.types import Observation
 from tests.env_server.mario import random_play
-from tests.proof import FULL
 
 Step = tuple[float, Observation, bool]
 Actions = list[list[int]]
@@ -96,7 +95,7 @@ def test_restored_end_is_still_an_end() -> None:
     assert game.step(1, 1, 1) == (-10.0, last, True)
 
 
-@pytest.mark.skipif(not FULL, reason="proved by `make proof` alone: its code has to be compiled")
+@pytest.mark.stage("proof")  # its code has to be compiled
 @pytest.mark.proof
 def test_random_steps_stay_in_bounds(capsys: pytest.CaptureFixture[str]) -> None:
     run = subprocess.run(

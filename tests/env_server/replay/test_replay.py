@@ -39,6 +39,7 @@ from glue.trajectory import ActionWriter, Run, TrajectoryError, TrajectoryReader
 from glue.types import Action, Observation
 from tests import forked
 from tests.forked import BIN
+from tests.proof import size
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "mario"
 RIGHT = Action([1, 0, 1])
@@ -292,7 +293,8 @@ def test_other_files_are_refused_as_recordings_of_the_original(
         exhaust(GoldenReader(tmp_path / "nowhere"))
 
 
-@settings(deadline=None, max_examples=200)
+@pytest.mark.proof
+@settings(deadline=None, max_examples=size(25, 200))
 @given(seed=st.integers(0, 2**32), packed=st.booleans())
 def test_damaged_recording_of_the_original_raises_nothing_else(
     tmp_path_factory: pytest.TempPathFactory, seed: int, packed: bool

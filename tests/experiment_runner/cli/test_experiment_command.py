@@ -12,11 +12,13 @@ import pytest
 from click.testing import CliRunner, Result
 
 from experiment_runner.cli.experiment import experiment
+from experiment_runner.cli.planning import own_directory
 from experiment_runner.plan.file import load_plan
 from experiment_runner.report.overview import as_text
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError, HubUnreachable
+from tests import forked
 from tests.system.runs import contents
 from tests.terminal import run_anew
 
@@ -219,15 +221,16 @@ def test_player_from_outside_that_takes_no_seed_is_named_once() -> None:
         assert as_text([results]).count(named[0]) == 1
 
 
-@pytest.mark.parametrize("agent", ["agents.tabular:SarsaAgent", "mine.py:Mine"])
-def test_names_and_places_of_players_change_nothing(agent: str) -> None:
+def test_names_and_places_of_players_change_nothing() -> None:
     Path("mine.py").write_text("from agents.tabular import SarsaAgent\nclass Mine(SarsaAgent): pass")
     run = ("--env", "mines", "--episodes", "3", "--max-steps", "30", "--trials", "2", "--seed", "7")
     invoke(*run, "--agent", "sarsa", "--in-process", "--out", "named")
-    places = (("env",), ("agent",), ("agent", "env"))
-    ways = {"-".join(place): [f"--inside={player}" for player in place] for place in places}
-    for name, way in {"inside": ["--in-process"], "processes": [], **ways}.items():
-        assert invoke(*run, "--agent", agent, *way, "--out", name).return_value == 0
+    for name, way in {
+        "processes": (),
+        "env": ("--inside=env",),
+        "both": ("--inside=env", "--inside=agent"),
+    }.items():
+        assert invoke(*run, "--agent", "mine.py:Mine", *way, "--out", name).return_value == 0
         for ours, theirs in zip(contents(Path("named")).values(), contents(Path(name)).values(), strict=True):
             assert ours[0] == theirs[0]
 
@@ -261,6 +264,41 @@ def test_dry_run_shows_the_trials_and_makes_nothing() -> None:
     assert [path.name for path in Path.cwd().iterdir()] == ["plan.toml"]
 
 
+LOUD = """import os
+
+from agents.baselines import RandomAgent
+
+print("imported")
+
+class Loud(RandomAgent):
+    def agent_start(self, observation):
+        print("a new episode")
+        os.write(1, b"raw")
+        return super().agent_start(observation)
+"""
+
+
+@pytest.mark.parametrize("way", [("--in-process",), ("--workers", "1"), ()])
+def test_json_stands_alone_on_standard_output_whatever_players_print(way: tuple[str, ...]) -> None:
+    Path("loud.py").write_text(LOUD)
+    run = ("--env", "mines", "--agent", "loud.py:Loud", "--episodes", "2", "--max-steps", "9", "--json")
+    shown = forked.run("glue-experiment", *run, *way, cwd=Path.cwd())
+    assert shown.returncode == 0
+    assert [len(json.loads(line)) for line in shown.stdout.splitlines()][:2] == [5, 5]
+    assert "a new episode" in shown.stderr
+
+
+def test_runs_that_begin_in_one_second_have_directories_of_their_own() -> None:
+    with own_directory(None, "mine") as first, own_directory(None, "mine") as second:
+        assert first != second
+        assert first.is_dir()
+        assert first.name.split("-", 2)[2] == "mine"
+        (second / "something").touch()
+    assert list(Path("runs").iterdir()) == [second]
+    with own_directory(Path("given"), "mine") as given:
+        assert (given, given.exists()) == (Path("given"), False)
+
+
 def test_same_command_goes_on_and_a_finished_run_stays_as_it_is() -> None:
     command = (*MINES, "--episodes", "4", "--json", "--out", "run")
     first = invoke(*command).stdout.splitlines()
@@ -279,34 +317,6 @@ def test_resume_goes_on_with_whatever_the_plan_was() -> None:
     assert invoke("--resume", "run", "--in-process").return_value == 0
     with Results.open(Path("run")) as results:
         assert [event.kind for event in results.events()] == ["start", "finish", "resume"]
-
-
-def test_directory_without_a_name_is_made_in_runs() -> None:
-    for _ in range(3):
-        assert invoke(*MINES, "--episodes", "1").return_value == 0
-    assert invoke("--plan", "plan.toml", "--in-process").return_value == 0
-    names = sorted(path.name.split("-", 2)[2] for path in Path("runs").iterdir())
-    assert names[0] == "plan"
-    assert len(names) == 4
-    assert all(name.startswith("random-mines") for name in names[1:])
-
-
-def test_failed_trial_makes_the_exit_code_and_is_explained() -> None:
-    Path("bad.py").write_text(
-        "from agents.baselines import RandomAgent\n"
-        "class Bad(RandomAgent):\n"
-        "    def agent_start(self, observation):\n"
-        "        raise ValueError('a mistake')\n"
-    )
-    result = invoke(
-        "--env", "mines", "--agent", "bad.py:Bad", "--episodes", "2", "--in-process", "--out", "r"
-    )
-    assert result.return_value == 1
-    assert "Bad/mines/0" in result.stdout
-    # The only trial: its error is shown when it fails, and not again below the table.
-    assert result.stderr.count("agent Bad raised in agent_start: ValueError: a mistake") == 1
-    assert "a mistake" not in result.stdout
-    assert "raise ValueError('a mistake')" in result.stderr  # the user's own line, in the traceback
 
 
 @pytest.mark.parametrize(
@@ -362,7 +372,7 @@ def test_run_whose_hub_cannot_be_joined_leaves_nothing_behind(
     Path("mine").mkdir()
     invoke("--episodes", "3", *arguments, "--out", "mine")
     invoke("--episodes", "3", *arguments)
-    assert sorted(map(str, Path().rglob("*"))) == ["mine", "plan.toml", "runs"]
+    assert sorted(map(str, Path().rglob("*"))) == ["mine", "plan.toml"]
 
 
 def test_run_whose_hub_is_gone_stays_as_it_is() -> None:
@@ -438,19 +448,6 @@ def test_finished_trial_that_an_earlier_version_left_as_failed_is_mended_by_resu
     with Store.open(Path("run")) as store:
         store.record_failure("random/mines/0", "agent RandomAgent raised in agent_cleanup")
     assert invoke("--resume", "run", "--in-process").return_value == 0
-
-
-def test_resume_reports_what_is_repeated() -> None:
-    assert invoke(*MINES, "--episodes", "6", "--checkpoint-every", "2", "--out", "run").return_value == 0
-    with Store.open(Path("run")) as store:
-        found = store.checkpoint("random/mines/0")
-        assert found is not None
-        episodes = store.episodes("random/mines/0")
-        store.rewind("random/mines/0", 3)
-        store.record("random/mines/0", episodes[3], found[1])
-        store.record("random/mines/0", episodes[4])
-    result = invoke("--resume", "run", "--in-process")
-    assert "random/mines/0 continues after episode 4; 1 recorded episode is run again" in result.stderr
 
 
 def test_empty_file_of_a_recording_that_failed_is_replaced_and_nothing_else_is() -> None:

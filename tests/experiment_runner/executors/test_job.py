@@ -1,15 +1,22 @@
 from __future__ import annotations
 
+import asyncio
 import math
+import re
+import threading
+from collections.abc import Set
 
 import pytest
 
+from agents.baselines import RandomAgent
+from env_server.toys import MinesEnvironment
 from experiment_runner.executors.job import (
     REPORTS,
     Ended,
     Happened,
     Job,
     Lost,
+    Playing,
     Recorded,
     Report,
     Said,
@@ -17,15 +24,20 @@ from experiment_runner.executors.job import (
     decode,
     decode_job,
     encode,
+    run_job,
     unpack,
     unpacker,
+    watched,
 )
 from experiment_runner.executors.trial import Start
 from experiment_runner.meeting.players import BOTH, Meeting
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
+from glue.engine.local import local
 from glue.errors import ExperimentError
+from glue.types import Action, Observation, Step
+from glue.wire.messages import Role
 
 RESULT = EpisodeResult(7, -1.25, 2**40, False, 0.5)
 SENT: list[Report] = [
@@ -34,6 +46,8 @@ SENT: list[Report] = [
     Recorded(RESULT, None, (Answer("values", "ä\n"), Answer("", ""))),
     Voided(9, "the agent was lost"),
     Happened("lost", "why ☂"),
+    Playing(9, 12),
+    Playing(9, None),
     Said("a line"),
     Ended(None),
     Ended("a mistake"),
@@ -54,6 +68,68 @@ def test_job_arrives_as_it_was_sent() -> None:
     spec = TrialSpec(TrialId("mine/mines/0"), agent, RoleSpec("mines"), 12, 30, 2**63 - 1)
     job = Job(spec, Meeting(BOTH, any_reward=True), Start(5, Checkpoint(b"a", b"e")), 4, ("values", ""))
     assert list(map(decode_job, unpack(encode(job)))) == [job]
+
+
+class Unshowable(Exception):
+    def __str__(self) -> str:
+        raise AttributeError("no text")
+
+
+FAILURES = {
+    "cancelled": (asyncio.CancelledError("mine"), "CancelledError: mine"),
+    "a closed generator": (GeneratorExit("mine"), "GeneratorExit: mine"),
+    "a surrogate": (ValueError("a path \udcff"), r"ValueError: a path \?"),
+    "no text": (Unshowable(), r"Unshowable: \(its text cannot be shown\)"),
+    "ten megabytes": (ValueError("x" * 10_000_000), r"ValueError: x+\.\.\. \([\d,]+ characters\)"),
+    "an exit": (SystemExit("mine"), "SystemExit: mine"),
+}
+
+
+class Failing(RandomAgent):
+    def __init__(self, *, how: str = "") -> None:
+        super().__init__()
+        self._how = how
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        raise FAILURES[self._how][0]
+
+
+@pytest.mark.parametrize(
+    ("failure", "inside"), [*((failure, BOTH) for failure in FAILURES), ("cancelled", {Role.AGENT})]
+)
+def test_whatever_a_player_raises_ends_its_trial_with_a_text_that_can_be_stored(
+    failure: str, inside: Set[Role], capsys: pytest.CaptureFixture[str]
+) -> None:
+    reports: list[Report] = []
+    agent = RoleSpec(f"{__file__}:Failing", {"how": failure})
+    spec = TrialSpec(TrialId("a/b/0"), agent, RoleSpec("mines"), 1, 30, 0)
+    run_job(Job(spec, Meeting(frozenset(inside))), reports.append)
+    ended = reports[-1]
+    assert isinstance(ended, Ended)
+    assert re.search(FAILURES[failure][1], ended.failure or ""), ended.failure
+    assert [decode(value, REPORTS) for value in unpack(encode(ended))] == [ended]
+    assert len(capsys.readouterr().err) < 100_000
+
+
+def test_episode_that_does_not_end_is_reported_with_its_steps() -> None:
+    told = threading.Event()
+
+    class Endless(MinesEnvironment):
+        def env_step(self, action: Action) -> Step:
+            assert told.wait(60)
+            return Step(0.0, Observation([0]), True)
+
+    reports: list[Report] = []
+
+    def send(report: Report) -> None:
+        reports.append(report)
+        told.set()
+
+    glue = local(RandomAgent(), Endless())
+    with watched(glue, lambda: 4, send, seconds=0.001):
+        glue.rl_init()
+        glue.rl_episode()
+    assert set(reports) == {Playing(5, 1)}
 
 
 @pytest.mark.parametrize("value", [None, 7, [], ["Recorded"], ["Recorded", 1, 2], ["__class__", 1], [[], 1]])

@@ -24,7 +24,6 @@ from experiment_runner.executors.trial import BEGINNING, Start, run_trial
 from experiment_runner.meeting.players import BOTH, Meeting
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment, local
@@ -34,6 +33,7 @@ from glue.trajectory import Ending, Episode, TrajectoryError, TrajectoryReader, 
 from glue.types import Observation
 from glue.wire.messages import Kind
 from tests import forked
+from tests.experiment_runner.executors.test_trial import Kept
 from tests.system.runs import contents, start, wait_until
 
 MINES: Final = RoleSpec("mines", {"random_start": True})
@@ -90,8 +90,9 @@ def in_results(directory: Path) -> list[tuple[float, int, bool]]:
         return [(e.episode_return, e.steps, e.terminal) for e in results.episodes(trial.spec.id)]
 
 
-@pytest.mark.parametrize("how", [("--in-process",), ()], ids=["one process", "three processes"])
-@pytest.mark.parametrize("name", PLAYERS)
+@pytest.mark.parametrize(
+    ("name", "how"), [*((name, ("--in-process",)) for name in PLAYERS), ("skeleton", ())]
+)
 def test_recorded_run_has_the_usual_results_and_replays(name: str, how: tuple[str, ...]) -> None:
     agent, max_steps = PLAYERS[name]
     command = ("--env", name, "--agent", agent, "--episodes", "6", "--max-steps", max_steps, "--seed", "3")
@@ -167,37 +168,6 @@ def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> Non
 # Losses and continuations
 
 
-class Kept:
-    """Keeps the reports of a trial."""
-
-    def __init__(self) -> None:
-        self.results: list[EpisodeResult] = []
-        self.checkpoints: dict[int, Checkpoint] = {}
-        self.voids: list[int] = []
-
-    def record(
-        self,
-        result: EpisodeResult,
-        checkpoint: Checkpoint | None,
-        answers: tuple[Answer, ...],
-        metrics: object,
-    ) -> None:
-        self.results.append(result)
-        if checkpoint is not None:
-            self.checkpoints[result.episode] = checkpoint
-
-    def void(self, episode: int, why: str) -> None:
-        self.voids.append(episode)
-
-    def event(self, kind: str, text: str) -> None: ...
-
-    def say(self, line: str) -> None: ...
-
-    @property
-    def numbers(self) -> list[tuple[float, int, bool]]:
-        return [(result.episode_return, result.steps, result.terminal) for result in self.results]
-
-
 class LosesAgents(Experiment):
     """Loses its agent at chosen calls, counted from 1, after the environment's part in the call."""
 
@@ -222,6 +192,10 @@ class LosesAgents(Experiment):
             self._players = local(newcomer, self._environment)
             raise PeerLost("the agent was lost")
         return reply
+
+
+def played(kept: Kept) -> list[tuple[float, int, bool]]:
+    return [(result.episode_return, result.steps, result.terminal) for result in kept.results]
 
 
 def run_recorded(
@@ -258,10 +232,10 @@ def test_episodes_that_count_are_recorded_once_each_whatever_is_lost(
 ) -> None:
     whole = run_recorded("whole.traj", local(SarsaAgent(), mines()))
     kept = run_recorded("run.traj", LosesAgents(losses, SarsaAgent, mines()))
-    assert kept.numbers == whole.numbers
+    assert played(kept) == played(whole)
     found = counting(Path("run.traj"))
     assert contents_of(found) == contents_of(counting(Path("whole.traj")))
-    assert numbers(found) == kept.numbers
+    assert numbers(found) == played(kept)
     begun = list({id(e.run): e.run for e in episodes(Path("run.traj"))}.values())
     assert len(begun) == runs
     assert [bool(run.state) for run in begun[1:]] == states
@@ -283,7 +257,7 @@ def test_environment_goes_on_in_the_recording_when_an_agent_is_replaced() -> Non
     kept = run_recorded(
         "run.traj", LosesAgents({Kind.RL_STEP: {100}, Kind.RL_START: {20}}, Forgetful, mines())
     )
-    assert numbers(counting(Path("run.traj"))) == kept.numbers
+    assert numbers(counting(Path("run.traj"))) == played(kept)
     assert len(kept.voids) == 2
 
 
@@ -297,7 +271,7 @@ def test_recording_of_an_environment_that_cannot_be_saved_has_no_state_after_a_l
     kept = run_recorded("run.traj", LosesAgents({Kind.RL_STEP: {100}}, SarsaAgent, Unsaved()))
     found = episodes(Path("run.traj"))
     assert [episode.ending for episode in found].count(Ending.VOID) == 1
-    assert numbers([e for e in found if e.ending is not Ending.VOID]) == kept.numbers
+    assert numbers([e for e in found if e.ending is not Ending.VOID]) == played(kept)
     assert {episode.run.state for episode in found} == {b""}
 
 
@@ -307,11 +281,11 @@ def test_trial_that_goes_on_is_recorded_from_its_checkpoint() -> None:
     kept = run_recorded("rest.traj", local(SarsaAgent(), mines()), start)
     rest = counting(Path("rest.traj"))
     assert contents_of(rest) == contents_of(episodes(Path("whole.traj"))[10:])
-    assert numbers(rest) == kept.numbers
+    assert numbers(rest) == played(kept)
     assert rest[0].run.state == whole.checkpoints[10].environment
 
 
-@pytest.mark.slow
+@pytest.mark.stage("kills")
 def test_killed_recording_holds_every_episode_of_the_results_and_the_rest_goes_to_another(
     tmp_path: Path,
 ) -> None:

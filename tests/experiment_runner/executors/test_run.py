@@ -61,6 +61,8 @@ class Silent:
         if self._left == 0:
             raise KeyboardInterrupt
 
+    def playing(self, spec: TrialSpec, episode: int, steps: int | None) -> None: ...
+
     def end(self, spec: TrialSpec) -> None: ...
 
     def say(self, line: str) -> None:
@@ -161,37 +163,6 @@ def test_trial_that_gets_no_further_is_given_up(undisturbed: Path, tmp_path: Pat
         hand_out(store, Unreliable(2, {}))
         assert [trial.failure for trial in store.trials()] == [None] * 3
     assert contents(tmp_path / "run") == contents(undisturbed)
-
-
-def test_trial_lost_after_its_last_episode_is_finished(undisturbed: Path, tmp_path: Path) -> None:
-    with create_run(tmp_path / "run", PLAN) as store:
-        hand_out(store, Unreliable(1, {FIRST: [12]}))
-    assert contents(tmp_path / "run") == contents(undisturbed)
-
-
-@pytest.mark.parametrize("agent", ["hierarchical", "sample", "tiles-coarse", "random"])
-def test_interrupted_learning_in_mario_goes_on_as_if_nothing_had_happened(tmp_path: Path, agent: str) -> None:
-    plan = Plan(
-        episodes=5,
-        max_steps=60,
-        seed=8,
-        environments=(RoleSweep("mario"),),
-        agents=(RoleSweep(agent),),
-    )
-    config = RunConfig(HERE, checkpoint_every=2)
-    with open_run(tmp_path / "undisturbed", plan) as store:
-        assert run_trials(store, config, Silent()) == 0
-    for interrupt_after in (3, 1, 0):
-        with open_run(tmp_path / "run", plan) as store:
-            if interrupt_after:
-                with pytest.raises(KeyboardInterrupt):
-                    run_trials(store, config, Silent(interrupt_after))
-            else:
-                assert run_trials(store, config, Silent()) == 0
-    assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed")
-    [(episodes, checkpoint)] = contents(tmp_path / "run").values()
-    assert len(episodes) == 5
-    assert checkpoint is not None
 
 
 def test_an_interrupted_run_says_how_to_continue_as_it_was_begun(tmp_path: Path) -> None:
@@ -318,8 +289,7 @@ def test_a_budget_does_not_turn_into_a_number_of_episodes(budgeted: Path) -> Non
 KEPT = {"mean TD error": Keep(3, averaged=True), "epsilon": Keep(2)}
 
 
-@pytest.mark.parametrize("every", [0, 7])
-@pytest.mark.parametrize("checkpoint_every", [0, 5])
+@pytest.mark.parametrize(("every", "checkpoint_every"), [(0, 0), (7, 5)])
 def test_metrics_of_lost_trials_are_those_of_undisturbed_ones(
     tmp_path: Path, every: int, checkpoint_every: int
 ) -> None:
@@ -358,10 +328,3 @@ def test_the_total_reward_is_the_sum_of_the_returns(tmp_path: Path) -> None:
         ends = np.cumsum(store.measure(FIRST, "steps"))
         assert steps.tolist() == list(range(1, 334))
         np.testing.assert_allclose(totals[ends.astype(int) - 1], np.cumsum(returns))
-
-
-def test_metrics_change_no_result(budgeted: Path, tmp_path: Path) -> None:
-    plan = replace(STEPS, metrics=MetricsPlan(10))
-    with create_run(tmp_path / "run", plan) as store:
-        run_trials(store, RunConfig(HERE, checkpoint_every=5, metrics=plan.metrics), Silent())
-    assert contents(tmp_path / "run") == contents(budgeted)

@@ -45,7 +45,7 @@ class Kept:
         answers: tuple[Answer, ...],
         metrics: object,
     ) -> None:
-        assert result.episode == len(self.results) + 1
+        assert not self.results or result.episode == self.results[-1].episode + 1
         self.results.append(result)
         if checkpoint is not None:
             self.checkpoints[result.episode] = checkpoint

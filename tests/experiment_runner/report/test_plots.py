@@ -14,9 +14,11 @@ from PIL import Image
 from experiment_runner.analysis.compare import tolerance_interval
 from experiment_runner.analysis.curves import StepTotals
 from experiment_runner.report.plots import (
+    Layout,
     comparison,
     learning_curves,
     metric_curves,
+    profiles,
     save,
     scatter,
     step_curves,
@@ -32,7 +34,8 @@ def learner(final: float, trials: int = 4, episodes: int = 300) -> FloatArray:
     return rise + chance.normal(0, 3, (trials, episodes)) + chance.normal(0, 3, (trials, 1))
 
 
-CURVES = {"slow": learner(50), "quick": learner(80)}
+LEARNERS = {"slow": learner(50), "quick": learner(80)}
+CURVES = {("", name): values for name, values in LEARNERS.items()}
 
 
 FINAL = "last 100 episodes"
@@ -50,10 +53,10 @@ def test_learning_curve_is_the_running_mean_over_trials() -> None:
     figure = learning_curves(CURVES, rng(), window=20)
     (axes,) = figure.axes
     slow, quick = axes.lines
-    assert legend_of(figure) == ["slow", "quick"]
+    assert legend_of(figure) == ["slow (!)", "quick (!)"]
     np.testing.assert_array_equal(slow.get_xdata(), np.arange(20, 301))
     last = np.asarray(quick.get_ydata())[-1]
-    assert last == pytest.approx(CURVES["quick"][:, -20:].mean())
+    assert last == pytest.approx(LEARNERS["quick"][:, -20:].mean())
     assert slow.get_color() != quick.get_color()
     assert slow.get_linestyle() != quick.get_linestyle()
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("episode", "episode return (reward)")
@@ -61,11 +64,11 @@ def test_learning_curve_is_the_running_mean_over_trials() -> None:
 
 
 def test_band_holds_the_mean_and_spans_the_trials() -> None:
-    figure = learning_curves({"slow": CURVES["slow"]}, rng(), window=20)
+    figure = learning_curves({("", "slow"): LEARNERS["slow"]}, rng(), window=20)
     (band,) = figure.axes[0].collections
     corners = np.asarray(band.get_paths()[0].vertices)
     at_end = corners[corners[:, 0] == 300][:, 1]
-    trials = CURVES["slow"][:, -20:].mean(axis=1)
+    trials = LEARNERS["slow"][:, -20:].mean(axis=1)
     assert trials.min() <= at_end.min() < trials.mean() < at_end.max() <= trials.max()
 
 
@@ -73,16 +76,16 @@ def test_band_holds_the_mean_and_spans_the_trials() -> None:
 def test_tolerance_band_is_the_interval_of_single_trials(over: str) -> None:
     values = learner(50, trials=60)
     if over == "episodes":
-        figure = learning_curves({"a": values}, rng(), window=20, tolerance=True)
+        figure = learning_curves({("", "a"): values}, rng(), window=20, tolerance=True)
         last = values[:, -20:].mean(axis=1)
     elif over == "steps":
         steps = np.arange(301.0)
         trials = [StepTotals(steps, np.concatenate([[0.0], one.cumsum()])) for one in values]
-        figure = step_curves({"a": trials}, rng(), window=30, tolerance=True)
+        figure = step_curves({("", "a"): trials}, rng(), window=30, tolerance=True)
         last = values[:, -30:].mean(axis=1)
     else:
         steps = np.arange(1.0, 301.0)
-        figure = metric_curves({"a": [(steps, one) for one in values]}, rng(), "error", tolerance=True)
+        figure = metric_curves({("", "a"): [(steps, one) for one in values]}, rng(), "error", tolerance=True)
         last = values[:, -1]
     (band,) = figure.axes[0].collections
     corners = np.asarray(band.get_paths()[0].vertices)
@@ -92,39 +95,39 @@ def test_tolerance_band_is_the_interval_of_single_trials(over: str) -> None:
 
 
 def test_window_shrinks_for_a_short_run() -> None:
-    figure = learning_curves({"short": learner(10, episodes=30)}, rng())
+    figure = learning_curves({("", "short"): learner(10, episodes=30)}, rng())
     assert "running mean of 3 episodes" in figure.get_suptitle()
 
 
 def test_curve_shorter_than_the_window_is_left_out() -> None:
-    figure = learning_curves({**CURVES, "begun": learner(10, episodes=5)}, rng(), window=20)
-    assert legend_of(figure) == ["slow", "quick"]
+    figure = learning_curves({**CURVES, ("", "begun"): learner(10, episodes=5)}, rng(), window=20)
+    assert legend_of(figure) == ["slow (!)", "quick (!)"]
 
 
 def test_curves_without_a_value_are_an_error() -> None:
     with pytest.raises(ExperimentError, match="explored"):
-        learning_curves({"a": np.full((2, 100), np.nan)}, rng(), label="explored")
+        learning_curves({("", "a"): np.full((2, 100), np.nan)}, rng(), label="explored")
 
 
 def test_single_trial_is_drawn_without_a_band() -> None:
-    figure = learning_curves({"one": learner(10, trials=1)}, rng())
+    figure = learning_curves({("", "one"): learner(10, trials=1)}, rng())
     assert "over 1 trial," in figure.get_suptitle()
 
 
 def test_scatter_shows_every_episode_of_every_trial() -> None:
-    figure = scatter(CURVES, window=20)
+    figure = scatter(LEARNERS, window=20)
     assert [axes.get_title(loc="left").replace("\N{NO-BREAK SPACE}", " ") for axes in figure.axes] == [
         "slow (4 trials)",
         "quick (4 trials)",
     ]
     dots, line = figure.axes[0].lines[:2]
-    assert sorted(np.asarray(dots.get_ydata())) == sorted(CURVES["slow"].ravel())
+    assert sorted(np.asarray(dots.get_ydata())) == sorted(LEARNERS["slow"].ravel())
     assert sorted(np.asarray(dots.get_xdata())) == sorted([*range(1, 301)] * 4)
-    np.testing.assert_allclose(np.asarray(line.get_ydata())[-1], CURVES["slow"][:, -20:].mean())
+    np.testing.assert_allclose(np.asarray(line.get_ydata())[-1], LEARNERS["slow"][:, -20:].mean())
 
 
 def test_scatter_has_the_reference_in_every_panel() -> None:
-    figure = scatter(CURVES, reference=("sample agent", learner(30)))
+    figure = scatter(LEARNERS, reference=("sample agent", learner(30)))
     assert "sample agent" in legend_of(figure)
     for axes in figure.axes:
         (line,) = [line for line in axes.lines if line.get_label() == "sample agent"]
@@ -134,7 +137,7 @@ def test_scatter_has_the_reference_in_every_panel() -> None:
 def test_comparison_marks_mean_and_interquartile_mean() -> None:
     reached = np.array([1.0, 2.0, 3.0, 10.0])
     (axes,) = comparison({"": {"a": reached, "b": reached + 5}}, rng(), final=FINAL).axes
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["a", "b"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["a (!)", "b (!)"]
     marks = {
         (line.get_label(), float(np.asarray(line.get_xdata())[0]))
         for line in axes.lines
@@ -159,43 +162,47 @@ def test_interval_of_few_trials_is_marked() -> None:
     few, enough = ({"": {"a": np.arange(float(n))}} for n in (4, 5))
     assert "unreliable" in comparison(few, rng(), final=FINAL).get_suptitle()
     assert "unreliable" not in comparison(enough, rng(), final=FINAL).get_suptitle()
-    assert "unreliable" in learning_curves({"a": np.ones((4, 3))}, rng()).get_suptitle()
+    assert "unreliable" in learning_curves({("", "a"): np.ones((4, 3))}, rng()).get_suptitle()
 
 
 @pytest.mark.parametrize("empty", [{}, {"a": np.empty((0, 0))}])
 def test_nothing_to_draw_is_an_error(empty: dict[str, FloatArray]) -> None:
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
-        learning_curves(empty, rng())
+        learning_curves({("", name): values for name, values in empty.items()}, rng())
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
         scatter(empty)
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
         comparison({"": empty}, rng(), final=FINAL)
 
 
-def figures() -> dict[str, Figure]:
-    return {
-        "curves": learning_curves(CURVES, rng()),
-        "scatter": scatter(CURVES),
-        "comparison": comparison(
-            {"": {name: values[:, -1] for name, values in CURVES.items()}}, rng(), final=FINAL
-        ),
+def test_each_environment_has_a_panel_with_its_own_scale_and_an_agent_one_look() -> None:
+    curves = {
+        (environment, agent): learner(height, trials=trials)
+        for environment, height in (("low", 10), ("high", 900))
+        for agent, trials in (("a", 5), ("b", 2))
     }
+    figure = learning_curves(curves, rng(), layout=Layout("Mine", (7.0, 3.0), 1))
+    low, high = figure.axes
+    assert [axes.get_title(loc="left") for axes in (low, high)] == ["low", "high"]
+    assert low.get_ylim()[1] < 100 < high.get_ylim()[1]
+    assert [line.get_color() for line in low.lines] == [line.get_color() for line in high.lines]
+    assert legend_of(figure) == ["a", "b (!)"]
+    assert (figure.get_suptitle(), tuple(figure.get_size_inches())) == ("Mine", (7.0, 3.0))
+    assert low.get_position().x0 == high.get_position().x0  # one below the other
+    apart = profiles({key: values[:, -1] for key, values in curves.items()})
+    assert [axes.get_title(loc="left") for axes in apart.axes] == ["low", "high"]
 
 
 def test_figures_are_the_same_byte_for_byte(tmp_path: Path) -> None:
     for kind in ("png", "svg", "pdf"):
-        for attempt in ("one", "two"):
-            for name, figure in figures().items():
-                save(figure, tmp_path / f"{name}-{attempt}.{kind}")
-        for name in figures():
-            one, two = ((tmp_path / f"{name}-{attempt}.{kind}").read_bytes() for attempt in ("one", "two"))
-            assert one == two
-            if kind == "svg":
-                assert xml.etree.ElementTree.fromstring(one).tag.endswith("svg")
-            else:
-                with Image.open(tmp_path / f"{name}-one.png") as image:
-                    assert image.width == 1280
-                    assert len(image.convert("RGB").getcolors(1 << 24) or []) > 20
+        one, two = (tmp_path / f"{attempt}.{kind}" for attempt in ("one", "two"))
+        for path in (one, two):
+            save(learning_curves(CURVES, rng()), path)
+        assert one.read_bytes() == two.read_bytes()
+    assert xml.etree.ElementTree.fromstring((tmp_path / "one.svg").read_bytes()).tag.endswith("svg")
+    with Image.open(tmp_path / "one.png") as image:
+        assert image.width == 1280
+        assert len(image.convert("RGB").getcolors(1 << 24) or []) > 20
 
 
 def test_users_style_neither_changes_a_figure_nor_is_changed(tmp_path: Path) -> None:
@@ -208,16 +215,16 @@ def test_users_style_neither_changes_a_figure_nor_is_changed(tmp_path: Path) -> 
 
 def test_unknown_ending_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExperimentError, match=r"curves\.gif"):
-        save(scatter(CURVES), tmp_path / "curves.gif")
+        save(scatter(LEARNERS), tmp_path / "curves.gif")
 
 
 def test_figure_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(ExperimentError, match=r"cannot write .*absent/x.png: No such file"):
-        save(scatter(CURVES), tmp_path / "absent" / "x.png")
+        save(scatter(LEARNERS), tmp_path / "absent" / "x.png")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_missing_matplotlib_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ExperimentError, match=r"need matplotlib: pip install 'glue-rl\[plot\]'"):
-        scatter(CURVES)
+        scatter(LEARNERS)

@@ -4,6 +4,7 @@ import io
 import json
 import math
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -87,6 +88,26 @@ def test_table_of_one_trial_shows_rate_mean_and_time_left(terminal: Terminal, cl
         bar(13, 24),
         "",
     ]
+
+
+def test_episode_that_does_not_end_shows_its_steps_and_what_ends_it(terminal: Terminal, clock: Clock) -> None:
+    log = io.StringIO()
+    limited = replace(FIRST, max_steps=9)
+    for progress in (Progress(terminal, clock), Progress(log, clock)):
+        progress.start(records(FIRST))
+        progress.begin(FIRST, 0, 0)
+        clock.now += 10
+        progress.playing(FIRST, 1, 120_000)
+    line = "sarsa/mines/0: episode 1 has 120,000 steps so far; --max-steps N (max_steps in a plan) cuts such"
+    assert terminal.screen()[:2] == [line, "episodes off"]
+    assert log.getvalue() == f"{line} episodes off\n"
+    progress.begin(limited, 0, 0)
+    clock.now += 10
+    progress.playing(limited, 2, None)
+    assert log.getvalue().endswith("sarsa/mines/0: episode 2 has not ended yet\n")
+    clock.now += 10
+    progress.episode(limited, result(2))
+    assert "so far" not in log.getvalue().splitlines()[-1]
 
 
 def test_trial_has_the_name_of_its_player_from_outside_once_that_has_joined(
@@ -206,16 +227,3 @@ def test_json_lines_name_their_trial() -> None:
         {"trial": FIRST.id, "episode": 1, "return": -1.5, "steps": 100, "terminal": True},
     ]
     assert people.getvalue() == "a word\n"
-
-
-def test_json_lines_have_no_number_that_json_lacks() -> None:
-    stream = io.StringIO()
-    lines = JsonLines(stream, io.StringIO())
-    lines.begin(FIRST, 0, 0)
-    for episode, episode_return in enumerate((math.nan, math.inf, -math.inf), 1):
-        lines.episode(FIRST, result(episode, episode_return))
-    lines.write({"summary": True, "mean_return": math.nan, "seconds": 1.5})
-    written = stream.getvalue().splitlines()
-    *episodes, summary = [json.loads(line, parse_constant=pytest.fail) for line in written]
-    assert [episode["return"] for episode in episodes] == [None] * 3
-    assert summary == {"summary": True, "mean_return": None, "seconds": 1.5}

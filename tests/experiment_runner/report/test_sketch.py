@@ -11,7 +11,7 @@ from glue.errors import ExperimentError
 
 def test_a_curve_rises_from_its_lowest_to_its_highest_mean() -> None:
     returns = np.repeat(np.arange(40.0), 10)[np.newaxis]
-    title, *rows, axis = sketches({"mine": returns}, 1, "return", 46).splitlines()
+    title, *rows, axis = sketches({("", "mine"): returns}, 1, "return", 46).splitlines()
     assert title == "mine: return, running mean of 1 episode"
     assert rows[0].startswith("39.0 |")
     assert rows[-1].startswith(" 0.0 |▁")
@@ -23,17 +23,18 @@ def test_a_curve_rises_from_its_lowest_to_its_highest_mean() -> None:
 
 def test_no_line_is_wider_than_the_terminal_and_trials_are_averaged() -> None:
     returns = np.array([[0.0] * 500, [2.0] * 500])
-    shown = sketches({"two": returns, "short": returns[:, :3]}, 100, "return", 60).splitlines()
+    shown = sketches({("", "two"): returns, ("", "short"): returns[:, :3]}, 100, "return", 60).splitlines()
     assert max(map(len, shown)) <= 60
     assert shown[1].startswith("1.0 |")
     assert not any("short" in line for line in shown)
 
 
-def test_curves_share_one_scale() -> None:
+def test_curves_of_an_environment_share_one_scale() -> None:
     low, high = (np.full((1, 20), value) for value in (1.0, 9.0))
-    first, second = (
-        curve.splitlines() for curve in sketches({"low": low, "high": high}, 1, "return", 40).split("\n\n")
-    )
+    curves = {("here", "low"): low, ("here", "high"): high, ("there", "low"): 100 * low}
+    first, second, third = (text.splitlines() for text in sketches(curves, 1, "return", 40).split("\n\n"))
+    assert third[0].startswith("low, there: return")
+    assert third[1].startswith("100.0 |")
     assert [row[:5] for row in first[1:-1]] == [row[:5] for row in second[1:-1]]
     assert "█" not in "".join(first)
     assert second[1].endswith("█" * 20)

@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiment_runner.analysis.settings import collect
 from experiment_runner.executors.resume import create_run
 from experiment_runner.plan.plan import Plan, RoleSweep
+from experiment_runner.report.markup import LATEX, MARKDOWN, paper_table
 from experiment_runner.report.overview import as_text
 from experiment_runner.report.tables import format_table, summarize, tabulate
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
+from glue.errors import ExperimentError
 
 PLAN = Plan(episodes=20_000, trials=3, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
@@ -78,7 +81,7 @@ def test_long_words_are_never_broken_nor_rows_merged() -> None:
 
 
 def test_control_characters_do_not_reach_the_terminal() -> None:
-    assert format_table(("a", "b"), [("x\x1b[2J\ny", "1\r2")]) == "a           b\nx?[2J y  1 2"
+    assert format_table(("a", "b"), [("x\x1b[2J\ny", "1\r2")]) == "a          b\nx?[2J y  1 2"
 
 
 def test_table_and_summary_are_of_all_episodes_and_of_the_last(store: Store) -> None:
@@ -107,6 +110,53 @@ def test_table_and_summary_are_of_all_episodes_and_of_the_last(store: Store) -> 
         "seconds": 7.0,
         "out": str(store.directory),
     }
+
+
+def test_paper_table_has_agents_in_rows_and_environments_in_columns(tmp_path: Path) -> None:
+    plan = Plan(
+        episodes=2,
+        trials=2,
+        environments=(RoleSweep("mines"), RoleSweep("a_b")),
+        agents=(RoleSweep("sarsa", {"epsilon": (0.1, 0.2)}),),
+    )
+    with create_run(tmp_path / "run", plan) as store:
+        for number, spec in enumerate(plan.expand()):
+            record(store, spec.id, -float(number), -float(number))
+        settings = collect([store])
+        store.rewind(spec.id, 1)
+        store.record_failure(spec.id, "a mistake")
+        assert "1 failed trial left out." in paper_table(collect([store]), "episodes", MARKDOWN)
+        latex, markdown = (paper_table(settings, "episodes", markup) for markup in (LATEX, MARKDOWN))
+    few = "(!) of fewer than 5 trials: the interval may well miss the mean."
+    mean = "Mean over 2 trials of the mean return of the last 100 episodes, with its 95 % bootstrap interval."
+    assert latex.splitlines() == [
+        f"% {mean}",
+        f"% {few}",
+        r"\begin{tabular}{lll}",
+        r"\toprule",
+        r"agent & mines & a\_b \\",
+        r"\midrule",
+        r"sarsa epsilon=0.1 & $-0.50$ [$-1.00$, $0.00$] (!) & $-2.50$ [$-3.00$, $-2.00$] (!) \\",
+        r"sarsa epsilon=0.2 & $-4.50$ [$-5.00$, $-4.00$] (!) & $-6.50$ [$-7.00$, $-6.00$] (!) \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
+    assert markdown.splitlines()[0] == r"| agent | mines | a\_b |"
+    assert markdown.splitlines()[2].startswith("| sarsa epsilon=0.1 | \N{MINUS SIGN}0.50 [")
+    assert markdown.splitlines()[-1] == f"{mean} {few}"
+    assert (LATEX.text("a|&"), MARKDOWN.text("a|&")) == (r"a|\&", r"a\|&")
+    with pytest.raises(ExperimentError, match="nothing to show"):
+        paper_table([], "episodes", LATEX)
+
+
+def test_what_all_trials_of_a_player_have_in_common_is_one_line(store: Store) -> None:
+    for trial_id in (FIRST, SECOND, THIRD):
+        store.record_event("unsaved", "no checkpoints: no agent_save", trial_id)
+        store.record_event("lost", "its worker was lost", trial_id)
+    shown = as_text([store]).splitlines()
+    assert sum(line.startswith("lost: ") for line in shown) == 3
+    (line,) = (line for line in shown if line.startswith("unsaved"))
+    assert line == f"unsaved: {FIRST} and 2 other trials: no checkpoints: no agent_save"
 
 
 def test_summary_of_nothing_has_no_mean(store: Store) -> None:

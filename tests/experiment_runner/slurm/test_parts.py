@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.slurm.batch import array_script, check_options
+from experiment_runner.slurm.batch import array_script, check_folder, check_options, gathering_job
 from experiment_runner.slurm.parts import divide, gather
 from experiment_runner.store.layout import PARTS, parts_of, runs_under
 from experiment_runner.store.lock import DirectoryTaken
@@ -81,6 +81,12 @@ def test_the_script_quotes_paths_and_limits_tasks() -> None:
     script = array_script(Path("/a b") / PARTS, ["glue", "--trust"], 12, 3, ["time=2:00:00", "exclusive"])
     assert script.splitlines()[0] == "#!/bin/sh"
     assert "#SBATCH --array=0-11%3" in script
+    folder = Path('/my runs/50%array/"quoted"') / PARTS
+    (output,) = (line for line in array_script(folder, [], 1, None, []).splitlines() if "--output" in line)
+    assert output == r'#SBATCH --output="/my runs/50%%array/\"quoted\"/parts/%a.log"'
+    assert f'--output=/my runs/50%%array/"quoted"/{PARTS}/gather.log' in gathering_job("1", folder, [], [])
+    with pytest.raises(ConfigError, match="on one line"):
+        check_folder(Path("/a\n#SBATCH --uid=0"))
     assert script.splitlines()[-1] == """exec glue --trust '/a b/parts'/"$SLURM_ARRAY_TASK_ID\""""
 
 

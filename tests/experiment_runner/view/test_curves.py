@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -10,14 +11,19 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.curves import of_metric, over_episodes
+from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import bootstrap_rng, estimate, mean, running_mean
+from experiment_runner.executors.resume import create_run
 from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, TrialSpec
 from experiment_runner.report.overview import as_object
 from experiment_runner.report.svg import Line, draw, sample
+from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.records import MEASURES, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
+from experiment_runner.view.catalog import address_of, run_id
+from experiment_runner.view.curves import Look, Wanted, curves, drawn
 from tests.experiment_runner.view.pages import Inside
 from tests.system.runs import run as execute
 
@@ -80,9 +86,34 @@ def test_a_curve_is_that_of_glue_plot(shown: tuple[Inside, Path, str]) -> None:
     assert curve["mean"] == value.tolist()
     assert curve["low"] == low.tolist()
     assert curve["high"] == high.tolist()
-    drawing = found["drawing"]["svg"]
+    drawing = found["drawings"][0]["svg"]
     assert drawing.count('class="curve single') == len(RETURNS)
     assert "NaN" not in drawing.replace("nan", "NaN")
+
+
+def test_each_environment_has_a_drawing_and_an_agent_one_look(tmp_path: Path) -> None:
+    agents, environments = (tuple(RoleSweep(name) for name in names) for names in ("ab", "xy"))
+    plan = Plan(episodes=20, environments=environments, agents=agents)
+    with create_run(tmp_path / "run", plan) as store:
+        for spec in plan.expand():
+            for episode in range(1, 21):
+                store.record(spec.id, EpisodeResult(episode, 1.0 * episode, 1, True, 0.0))
+    found = curves(Wanted((tmp_path / "run",), 2, "episodes", (-math.inf, math.inf)))
+    shown = drawn(found, "episodes", Look(900, (False, False)))
+    assert [one["environment"] for one in shown["drawings"]] == ["x", "y"]
+    labels = [[shown["curves"][i]["label"] for i in one["curves"]] for one in shown["drawings"]]
+    assert labels == [["a, x", "b, x"], ["a, y", "b, y"]]
+    for one in shown["drawings"]:
+        assert 'viewBox="0 0 442 420"' in one["svg"]
+        assert re.findall(r'<polyline class="curve (c\d)"', one["svg"]) == ["c0", "c1"]
+
+
+def test_the_page_begins_with_the_run_or_the_standings_that_it_is_asked_for(tmp_path: Path) -> None:
+    with create_run(tmp_path / "run", Plan(episodes=1)) as store:
+        assert address_of([tmp_path / "run"]) == f"#/run/{run_id(store.directory)}"
+        (store.directory / COMPETITION_FILE).touch()
+        assert address_of([tmp_path / "run"]) == f"#/standings/{run_id(store.directory)}"
+    assert address_of([tmp_path]) == address_of([tmp_path / "run", tmp_path]) == ""
 
 
 def test_the_table_is_that_of_glue_results(shown: tuple[Inside, Path, str]) -> None:
@@ -99,7 +130,7 @@ def test_another_measure_has_its_own_curve_and_axis_beside_the_table_of_returns(
     with Results.open(shown[1]) as results:
         steps = np.array([results.measure(trial.spec.id, "steps") for trial in results.trials()])
     assert curve["mean"][-1] == pytest.approx(steps[:, -60:].mean())
-    assert MEASURES["steps"].label in found["drawing"]["svg"]
+    assert MEASURES["steps"].label in found["drawings"][0]["svg"]
     assert found["measures"] == list(MEASURES)
     assert found["settings"] == returns["settings"]
 
@@ -123,7 +154,7 @@ def test_many_trials_still_fit(tmp_path: Path) -> None:
 
     curve = over_episodes(RNG.normal(size=(300, 1000)), 100, RNG)
     assert curve is not None
-    shown = _as_json("a", curve)
+    shown = _as_json(Setting("a", "", (), ()), curve)
     assert sum(map(len, shown["singles"])) <= 8000
     assert len(shown["singles"]) == 300
 

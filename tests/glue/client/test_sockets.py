@@ -7,9 +7,12 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgpack
 import pytest
 
+from glue.client import sockets
 from glue.client.sockets import SocketTransport
+from glue.wire.codec import UnknownKind
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Message
 from tests.scripted.hub import ScriptedHub
@@ -51,23 +54,54 @@ def test_messages_go_both_ways(hub: ScriptedHub) -> None:
     transport.close()
 
 
-def test_answers_to_steps_received_together_leave_in_order(hub: ScriptedHub) -> None:
+class Clock:
+    """A clock set by hand."""
+
+    now = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+def test_answers_to_steps_received_together_leave_in_order_and_in_groups(
+    hub: ScriptedHub, monkeypatch: pytest.MonkeyPatch
+) -> None:
     transport = connect(hub.url)
     introduce(hub, transport)
-    sessions = [str(number) for number in range(20)]
-    for seq in (1, 2, 3):
-        calls = [Message(Kind.ENV_STEP, session, seq, (), bytes(16)) for session in sessions]
-        hub.send(*calls, Message(Kind.HEARTBEAT, "", 0))
-        answers = [Message(Kind.ENV_STEP, session, seq, (1.5, True), bytes(16)) for session in sessions]
-        for call, answer in zip(calls, answers, strict=True):
-            assert transport.receive_message(MAX_BODY) == call
-            assert transport.send_message(answer)
-        heartbeat = transport.receive_message(MAX_BODY)
-        assert heartbeat is not None
-        assert heartbeat.kind is Kind.HEARTBEAT
-        transport.send_message(HEARTBEAT)
-        assert [hub.next() for _ in sessions] == answers
-        assert hub.next() == HEARTBEAT
+    sizes, send, clock = [], SocketTransport._send, Clock()
+
+    def counted(transport: SocketTransport, data: bytes) -> bool:
+        sizes.append(data.count(b"\x95\x0d"))  # headers of ENV_STEP
+        return send(transport, data)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(sockets, "clock", clock)
+        patched.setattr(SocketTransport, "_send", counted)
+        sessions = [str(number) for number in range(100)]
+        for seq in (1, 2):
+            hub.send(*(Message(Kind.ENV_STEP, session, seq, (), bytes(16)) for session in sessions))
+            answers = [Message(Kind.ENV_STEP, session, seq, (1.5, True), bytes(16)) for session in sessions]
+            for answer in answers:
+                call = transport.receive_message(MAX_BODY)
+                assert call is not None
+                assert call.session == answer.session
+                clock.now += 50e-6
+                assert transport.send_message(answer)
+            assert [hub.next() for _ in sessions] == answers
+    assert sum(sizes) == 2 * len(sessions)
+    assert len(sizes) <= len(sessions), sizes
+    transport.close()
+
+
+def test_what_follows_an_unknown_kind_is_read(hub: ScriptedHub) -> None:
+    transport = connect(hub.url)
+    introduce(hub, transport)
+    hub.send_frames(msgpack.packb([999, "s", 7]), b"a body")
+    hub.send(HEARTBEAT)
+    with pytest.raises(UnknownKind) as raised:
+        transport.receive_message(MAX_BODY)
+    assert (raised.value.session, raised.value.seq) == ("s", 7)
+    assert transport.receive_message(MAX_BODY) == HEARTBEAT
     transport.close()
 
 

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import os
 import re
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import pytest
+
+from glue.compiled.jit import _Announcement
 
 ROOT = Path(__file__).parents[3]
 TIMEOUT = 60.0
@@ -93,16 +98,21 @@ def test_compiling_is_said_once_for_each_state_of_the_code(program: Path) -> Non
     before, after = said.splitlines()
     assert before == "compiling the rules, this once ..."
     assert re.fullmatch(r"compiled the rules in \d+ s", after)
-    assert "compiling" in run(program, environment={"NUMBA_BOUNDSCHECK": "1"})
     assert run(program) == ""
     assert "compiling" in run(program, factor=3)  # a rule in another package has changed
-    assert run(program, factor=3) == ""
+
+
+@pytest.mark.stage("proof")
+@pytest.mark.proof
+def test_code_that_checks_bounds_is_kept_beside_the_other(program: Path) -> None:
+    run(program)
+    assert "compiling" in run(program, environment={"NUMBA_BOUNDSCHECK": "1"})
+    assert run(program) == ""
 
 
 def test_without_a_folder_to_write_to_it_still_runs(program: Path, tmp_path: Path) -> None:
     (tmp_path / "player" / "__pycache__").write_text("a file, so that no folder can be made")
     nowhere = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "NUMBA_CACHE_DIR": ""}
-    assert "compiling" in run(program, environment=nowhere)
     assert "compiling" in run(program, environment=nowhere)
 
 
@@ -119,29 +129,48 @@ def test_a_function_is_compiled_once_for_all_widths_of_integers_and_constants(tm
     assert done.stdout == f"{2 + 4 + 2**31 + 2} 1\n", done.stderr
 
 
+def test_in_a_terminal_the_time_passed_is_shown_while_it_compiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = threading.Event()
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+        def write(self, text: str) -> int:
+            if re.fullmatch(r"  \| 0 s\x1b\[K", text):
+                shown.set()
+            return super().write(text)
+
+    monkeypatch.setattr("sys.stderr", Terminal())
+    monkeypatch.setattr("glue.compiled.jit._SPIN_SECONDS", 0.001)
+    announcement = _Announcement("the rules")
+    announcement.on_start(None)
+    assert shown.wait(60)
+    announcement.over.set()
+
+
 def test_one_process_compiles_and_the_others_wait_and_say_so(tmp_path: Path) -> None:
     (tmp_path / "rules.py").write_text(
         "from glue.compiled.jit import announce_compilation, entry\n"
         "@entry\ndef one(x):\n    return x + 1\n"
         "print(one._cache.cache_path, flush=True)\n"
-        "with announce_compilation('the rules', 7):\n    print(one(1), flush=True)\n"
+        "input()\n"
+        "with announce_compilation('the rules'):\n    print(one(1), flush=True)\n"
     )
-    command = [sys.executable, "-u", "rules.py"]
     settings = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    first = subprocess.run(command, cwd=tmp_path, env=settings, capture_output=True, text=True, check=True)
-    assert "compiling the rules, this once: about 7 s on a free core" in first.stderr
-    folder = Path(first.stdout.splitlines()[0])
-    for file in folder.glob("*.nb?"):
-        file.unlink()
-    with (folder / "one.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        with subprocess.Popen(
-            command, cwd=tmp_path, env=settings, stderr=subprocess.PIPE, text=True
-        ) as other:
-            assert other.stderr is not None
-            assert "another process is compiling one" in other.stderr.readline()
-            fcntl.flock(lock, fcntl.LOCK_UN)
-            assert "compiling the rules" in other.stderr.read()
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(
+        [sys.executable, "-u", "rules.py"], cwd=tmp_path, env=settings, text=True, **pipes
+    ) as other:
+        folder = Path(other.stdout.readline().strip())  # type: ignore[union-attr]
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / "one.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            print(file=other.stdin, flush=True)
+            assert "another process is compiling one" in other.stderr.readline()  # type: ignore[union-attr]
+        printed, said = other.communicate(timeout=TIMEOUT)
+    assert printed == "2\n"
+    assert "compiling the rules, this once ..." in said
     assert other.returncode == 0
 
 

@@ -15,8 +15,6 @@ from tests.cc import compiled
 from tests.glue.conform.forked import ENDS, QUIET, WAIT, mirror, slow_to_close
 from tests.proof import size
 
-pytestmark = pytest.mark.slow
-
 EXAMPLE = Path(__file__).parents[3] / "docs/examples/c/mirror.c"
 
 
@@ -31,6 +29,7 @@ def test_our_own_clients_keep_every_rule(role: Role, transport: str, libzmq: boo
     assert [line(verdict) for verdict in verdicts if verdict.outcome is Outcome.FAILED] == []
 
 
+@pytest.mark.stage("conformance")
 def test_a_client_that_reconnects_while_it_ends_is_judged_by_its_end() -> None:
     start = slow_to_close(Role.EXPERIMENT)
     (verdict,) = judge(Role.EXPERIMENT, start, transport="ipc", wait=WAIT, only={"malformed-bodies"})
@@ -43,6 +42,7 @@ def c_mirror(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled(EXAMPLE, tmp_path_factory.mktemp("c"))
 
 
+@pytest.mark.stage("conformance")
 @pytest.mark.proof
 @pytest.mark.parametrize("transport", size(["ipc"], ["tcp", "ipc"]))
 def test_the_example_in_c_keeps_every_rule(c_mirror: Path, transport: str) -> None:

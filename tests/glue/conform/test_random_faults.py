@@ -10,7 +10,7 @@ from glue.wire.messages import THREE_ROLES, Role
 from tests.glue.conform.forked import ENDS, mirror
 from tests.proof import size
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.stage("conformance")
 
 
 @pytest.mark.proof
@@ -18,8 +18,8 @@ pytestmark = pytest.mark.slow
 @pytest.mark.parametrize(("transport", "libzmq"), size(ENDS[:1], ENDS))
 def test_our_own_clients_survive_random_faults(role: Role, transport: str, libzmq: bool) -> None:
     # After each failed handshake libzmq waits longer: a script takes up to half a minute.
-    seeds = range(3 if libzmq else size(3, 30))
-    verdicts = judge_scripts(role, mirror(role, libzmq), seeds, transport=transport, wait=20)
+    seeds = range(3 if libzmq else size(5, 30))
+    verdicts = judge_scripts(role, mirror(role, libzmq), seeds, transport=transport, wait=60)
 
     assert [verdict.rule.name for verdict in verdicts] == [f"seed-{seed}" for seed in seeds]
     assert [line(verdict) for verdict in verdicts if verdict.outcome is not Outcome.PASSED] == []

@@ -85,14 +85,6 @@ def test_init_asks_the_environment_then_the_agent_with_its_task_spec() -> None:
     assert calls == ["env_init", "agent_init a task"]
 
 
-@pytest.mark.parametrize("spec", ["", "VERSION RL-Glue-3.0 PROBLEMTYPE episodic", "zero\0inside", "é✓"])
-def test_init_passes_any_task_spec_on_unchanged(spec: str) -> None:
-    agent, environment = ScriptedAgent(), ScriptedEnvironment()
-    environment.task_spec = spec
-    assert local(agent, environment).rl_init() == spec
-    assert agent.calls == [f"agent_init {spec}"]
-
-
 def test_init_with_an_empty_spec_after_another_yields_the_empty_one() -> None:
     # The original would answer with the old one: a quirk that is not worth imitating.
     environment = ScriptedEnvironment()
@@ -200,18 +192,6 @@ def test_stepping_past_the_end_repeats_the_last_action_and_counts_the_end_again(
     assert calls == ["env_step [100]", "agent_end 1"] * 5
 
 
-@pytest.mark.parametrize(("raw", "expected"), [(0, False), (1, True), (2, True), (-1, True)])
-def test_terminal_is_normalised_to_a_truth_value(raw: int, expected: bool) -> None:
-    class Raw(ScriptedEnvironment):
-        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-            return 0.0, Observation(), raw  # type: ignore[return-value]
-
-    glue = local(ScriptedAgent(), Raw())
-    glue.rl_init()
-    glue.rl_start()
-    assert glue.rl_step().terminal is expected
-
-
 # RL_episode
 
 
@@ -232,29 +212,6 @@ def test_episode_returns_and_counts_as_the_original_for_every_limit() -> None:
         assert glue.rl_episode(limit) is ended
         assert counters(glue) == (steps, episodes, total)
         assert [name[2:] for name in taken(calls) if name.startswith("a:")] == received.split()
-
-
-def test_the_worked_run() -> None:
-    glue, calls = play(length=2)
-    # verb, its result, calls to the agent, calls to the environment, steps, episodes, return
-    table: list[tuple[Any, Any, str, str, int, int, float]] = [
-        (glue.rl_init, "a task", "init", "init", 0, 0, 0),
-        (glue.rl_start, ..., "start", "start", 1, 0, 0),
-        (glue.rl_step, ..., "step", "step", 2, 0, 1),
-        (glue.rl_step, ..., "end", "step", 2, 1, 2),
-        (lambda: glue.rl_episode(0), True, "start step end", "start step step", 2, 2, 2),
-        (lambda: glue.rl_episode(2), False, "start step", "start step", 2, 2, 1),
-        (glue.rl_start, ..., "start", "start", 1, 2, 0),
-        (glue.rl_cleanup, None, "cleanup", "cleanup", 1, 2, 0),
-        (glue.rl_init, "a task", "init", "init", 0, 0, 0),
-    ]
-    for verb, result, agent, environment, steps, episodes, total in table:
-        answer = verb()
-        assert result is ... or answer == result
-        names = taken(calls)
-        assert [name[2:] for name in names if name.startswith("a:")] == agent.split()
-        assert [name[2:] for name in names if name.startswith("e:")] == environment.split()
-        assert counters(glue) == (steps, episodes, total)
 
 
 def test_a_step_goes_on_after_an_episode_was_cut_off() -> None:
@@ -302,55 +259,11 @@ def test_reward_is_summed_undiscounted_in_the_order_of_the_steps() -> None:
 # Messages and cleanup
 
 
-def test_messages_reach_the_players_at_any_time_and_change_nothing() -> None:
-    glue, calls = play()
-
-    def exchange() -> None:
-        before = counters(glue)
-        assert glue.rl_agent_message("x") == "agent heard x"
-        assert glue.rl_env_message("y") == "environment heard y"
-        assert counters(glue) == before
-
-    exchange()
-    glue.rl_init()
-    exchange()
-    glue.rl_start()
-    exchange()
-    glue.rl_cleanup()
-    exchange()
-    assert taken(calls).count("a:message") == 4
-
-
-@pytest.mark.parametrize("text", ["", "zero\0inside", "é✓", "x" * 100_000])
-def test_messages_carry_any_text(text: str) -> None:
-    glue, _ = play()
-    assert glue.rl_agent_message(text) == f"agent heard {text}"
-    assert glue.rl_env_message(text) == f"environment heard {text}"
-
-
-def test_a_null_answer_to_a_message_is_the_empty_text() -> None:
-    class Silent(ScriptedAgent):
-        def agent_message(self, message: str) -> str:
-            return None  # type: ignore[return-value]
-
-    assert local(Silent(), ScriptedEnvironment()).rl_agent_message("?") == ""
-
-
 def test_cleanup_is_the_environment_first_and_may_come_early_and_twice() -> None:
     glue, calls = play()
     glue.rl_cleanup()
     glue.rl_cleanup()
     assert calls == ["env_cleanup", "agent_cleanup"] * 2
-
-
-def test_several_runs_restart_the_counters() -> None:
-    glue, _ = play(length=2)
-    for _ in range(3):
-        glue.rl_init()
-        glue.rl_episode()
-        glue.rl_episode()
-        assert counters(glue) == (2, 2, 2.0)
-        glue.rl_cleanup()
 
 
 # Half steps
@@ -423,30 +336,6 @@ def test_start_without_init_works() -> None:
     assert taken(calls) == ["e:start", "a:start"]
 
 
-# Empty and changing observations and actions
-
-
-def test_observations_and_actions_may_be_empty_and_change_their_counts() -> None:
-    shapes = [(0, 0, 0), (2, 4, 5), (0, 0, 0), (1, 0, 0), (0, 3, 1)]
-
-    class Changing(ScriptedEnvironment):
-        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-            ints, doubles, chars = shapes[self._steps]
-            self._steps += 1
-            return 0.0, Observation([1] * ints, [0.5] * doubles, b"c" * chars), False
-
-    class Mirror(ScriptedAgent):
-        def agent_step(self, reward: float, observation: Observation) -> Action:
-            return Action.from_body(observation.body)
-
-    glue = local(Mirror(), Changing())
-    glue.rl_init()
-    glue.rl_start()
-    for shape in shapes:
-        _, observation, _, _, action = glue.rl_step()
-        assert observation.counts == action.counts == shape
-
-
 # The engine itself
 
 
@@ -483,12 +372,6 @@ def test_a_verb_before_the_last_is_done_is_an_error_that_names_both() -> None:
     ):
         engine.begin(Kind.RL_STEP)
     assert engine.awaiting is Kind.ENV_START
-
-
-@pytest.mark.parametrize("kind", [Kind.ENV_STEP, Kind.AGENT_INIT, Kind.HELLO])
-def test_a_call_that_is_no_verb_is_an_error(kind: Kind) -> None:
-    with pytest.raises(LocalProtocolError, match="is not a verb of an experiment"):
-        Engine(b"").begin(kind)
 
 
 def test_an_answer_to_another_call_is_an_error_and_changes_nothing() -> None:

@@ -55,9 +55,11 @@ def test_adapter_says_what_was_truncated_and_shows_the_last_observation() -> Non
     envs.close()
 
 
-def test_adapter_needs_episodes_that_begin_in_the_same_step() -> None:
+def test_adapter_needs_episodes_that_begin_in_the_same_step_and_observations_that_stay() -> None:
     with pytest.raises(ConfigError, match="SameStep"):
         SB3VecEnv(gymnasium.make_vec(MARIO, num_envs=1))
+    with pytest.raises(ConfigError, match="copy=True"):
+        mario(1, copy=False)
 
 
 def test_a_mario_that_dies_is_not_truncated() -> None:

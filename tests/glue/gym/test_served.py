@@ -17,8 +17,9 @@ from glue.cli.screen import renderer
 from glue.engine.engine import role_seed
 from glue.engine.experiment import Experiment
 from glue.errors import ConfigError, PeerFailed, SimulatorError
+from glue.global_seeds import globals_restored
 from glue.options import parameters
-from glue.plugins.loading import find
+from glue.plugins.loading import construct, find, without_seed
 from glue.roles import capabilities
 from glue.taskspec import parse_task_spec
 from glue.wire.messages import Role
@@ -244,6 +245,44 @@ def test_stepping_without_an_episode_is_refused() -> None:
     environment.env_cleanup()
     with pytest.raises(SimulatorError, match="env_init"):
         environment.env_start()
+
+
+class OldSeeds(gymnasium.Env[Any, Any]):  # type: ignore[misc]
+    """Draws from NumPy's global generator, which it seeds."""
+
+    observation_space = action_space = gymnasium.spaces.Discrete(2)
+
+    def reset(self, *, seed: Any = None, options: Any = None) -> Any:
+        if seed is not None:
+            np.random.seed(seed)
+        return 0, {}
+
+    def step(self, action: Any) -> Any:
+        return 0, np.random.random(), False, False, {}
+
+
+class NoSeeds(OldSeeds):
+    """Ignores its seed."""
+
+    def reset(self, *, seed: Any = None, options: Any = None) -> Any:
+        return 0, {}
+
+
+@pytest.mark.parametrize(("made", "seeded"), [(OldSeeds, True), (NoSeeds, False)])
+def test_environments_of_the_old_global_generator_repeat_themselves(made: type, seeded: bool) -> None:
+    gymnasium.register(f"tests/{made.__name__}-v0", made)
+    found = find(Role.ENVIRONMENT, f"gymnasium:tests/{made.__name__}-v0")
+    assert (without_seed(Role.ENVIRONMENT, "mine", found) is None) == seeded
+
+    def rewards(seed: int) -> list[float]:
+        environment = construct(found, {})
+        environment.env_seed(seed)
+        environment.env_init()
+        environment.env_start()
+        return [environment.env_step(Action([0])).reward for _ in range(3)]
+
+    with globals_restored():
+        assert rewards(2**62 + 1) == rewards(2**62 + 1) != rewards(2)
 
 
 def test_what_gymnasium_cannot_make_is_a_config_error() -> None:

@@ -110,6 +110,38 @@ def test_floats_are_clipped_and_nothing_else_is() -> None:
         Codec(spaces.Discrete(3)).unpack(Action([1, 2]))
 
 
+@pytest.mark.parametrize(
+    ("space", "value", "message"),
+    [
+        (
+            spaces.Box(0, 255, (2, 2), np.uint8),
+            np.array([[0, 1], [0.5, 2]]),
+            r"0\.5 at \[1, 0\] is not in Box",
+        ),
+        (spaces.Box(0, 255, (2,), np.uint8), np.array([7, 300]), r"300 at \[1\] is not in Box"),
+        (spaces.Box(3, 9, (2,), np.uint8), np.array([2, 3], np.uint8), r"2 at \[0\]"),
+        (spaces.Box(0, 9, (), np.int16), np.nan, "nan is not in"),
+        (spaces.Discrete(5), 3.9, r"3\.9 is not in Discrete\(5\)"),
+        (spaces.Discrete(10), 2**32 + 7, "4294967303 is not in"),
+        (spaces.MultiBinary(2), [0, 2], r"2 at \[1\]"),
+        (spaces.Box(0, 9, (2, 3), np.float32), np.zeros((3, 2)), r"the shape \(2, 3\) of .* not \(3, 2\)"),
+        (spaces.Box(0, 9, (2,), np.float32), [[1], [2, 3]], "expected numbers"),
+        (spaces.Discrete(2), "1", "expected numbers"),
+        (spaces.Dict(a=spaces.Discrete(2)), {"b": 1}, "expected a dict of a"),
+        (spaces.Tuple([spaces.Discrete(2)]), (1, 1), "expected a tuple of 1 parts"),
+    ],
+)
+def test_a_value_outside_its_space_is_an_error_that_names_it(space: Any, value: Any, message: str) -> None:
+    with pytest.raises(SimulatorError, match=message):
+        Codec(space).pack(value)
+
+
+def test_values_of_other_types_and_axes_that_lose_nothing_are_taken() -> None:
+    assert Codec(spaces.Discrete(5)).pack(np.array([3.0]))[0].tolist() == [3]
+    assert Codec(spaces.Box(0, 1, (1, 2), np.float32)).pack([1, 7])[1].tolist() == [1.0, 7.0]
+    assert Codec(spaces.Box(0, 255, (2,), np.uint8)).pack([True, 255])[2] == b"\x01\xff"
+
+
 def test_an_image_is_chars_and_a_dict_is_in_the_order_of_its_keys() -> None:
     image = Codec(spaces.Box(0, 255, (84, 84, 4), np.uint8))
     assert image.ranges.counts == (0, 0, 84 * 84 * 4)

@@ -11,10 +11,12 @@ from glue.hub.config import HubConfig
 from glue.hub.io.connection import Connection
 from glue.hub.io.server import Hub
 from glue.hub.memory import Memory
+from glue.hub.peer import Route
+from glue.hub.session import _MAX_QUERIES
 from glue.types import Action
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import CALLS, Kind, Message, Role, Value
-from tests.scripted.peer import GREETING, READY, ScriptedPeer, framed, hello_scalars
+from tests.scripted.peer import GREETING, READY, TIMEOUT, ScriptedPeer, framed, hello_scalars
 
 REQUESTS = 20
 AGENT_STEP = b"\x94\x06"
@@ -25,7 +27,9 @@ class Rig:
     """A hub whose loop is turned by hand, and connections to it."""
 
     def __init__(self, stack: ExitStack) -> None:
-        self.hub = stack.enter_context(Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)))
+        self.hub = stack.enter_context(
+            Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT))
+        )
         self._stack = stack
 
     def connect(self, *sent: bytes) -> ScriptedPeer:
@@ -75,14 +79,33 @@ def rig() -> Iterator[Rig]:
         yield Rig(stack)
 
 
-def play(rig: Rig, victim: ScriptedPeer) -> list[int]:
-    """Make the requests of a session; return the number of turns that each took."""
-    turns = []
-    for seq in range(1, REQUESTS + 1):
-        received(victim)
-        victim.send_bytes(frame(Kind.RL_NUM_STEPS, "victim", seq))
-        turns.append(rig.turns_until(lambda: b"victim" in received(victim)))
-    return turns
+class Victim:
+    """A session that plays: its experiment asks the agent, then for the number of steps."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._agent = rig.join(Role.AGENT, "victim")
+        self._experiment = rig.join(Role.EXPERIMENT, "victim")
+        self._seq = 0
+        self._calls = 0
+
+    def _await(self, peer: ScriptedPeer) -> int:
+        return self._rig.turns_until(lambda: b"victim" in received(peer))
+
+    def play(self) -> list[int]:
+        """Make the requests of the session; return the number of turns that each message took."""
+        turns = []
+        received(self._experiment)
+        for _ in range(REQUESTS):
+            self._seq += 2
+            self._calls += 1
+            self._experiment.send_bytes(frame(Kind.RL_AGENT_MESSAGE, "victim", self._seq))
+            turns.append(self._await(self._agent))
+            self._agent.send_bytes(frame(Kind.AGENT_MESSAGE, "victim", self._calls))
+            turns.append(self._await(self._experiment))
+            self._experiment.send_bytes(frame(Kind.RL_NUM_STEPS, "victim", self._seq + 1))
+            turns.append(self._await(self._experiment))
+        return turns
 
 
 def malformed(rig: Rig) -> None:
@@ -109,25 +132,52 @@ def requests_ahead(rig: Rig) -> None:
     rig.join(Role.EXPERIMENT, "other").socket.send(b"".join(requests))
 
 
+def queries(rig: Rig) -> list[ScriptedPeer]:
+    """Let twelve experiments without players make requests that need none."""
+    asking = []
+    for number in range(12):
+        asking.append(rig.join(Role.EXPERIMENT, f"{number}"))
+        requests = [frame(Kind.RL_NUM_EPISODES, f"{number}", seq) for seq in range(1, 1000)]
+        asking[-1].socket.send(b"".join(requests))
+    return asking
+
+
 def connections(rig: Rig) -> None:
     for _ in range(200):
         rig.connect().close()
 
 
 @pytest.mark.parametrize(
-    "attack", [malformed, endless, heartbeats, hellos, requests_ahead, connections], ids=lambda f: f.__name__
+    "attack",
+    [malformed, endless, heartbeats, hellos, requests_ahead, queries, connections],
+    ids=lambda f: f.__name__,
 )
-def test_a_request_is_answered_in_the_first_turn_beside_any_flood(
-    rig: Rig, attack: Callable[[Rig], None]
+def test_a_session_that_plays_is_served_in_the_first_turn_beside_any_flood(
+    rig: Rig, attack: Callable[[Rig], object]
 ) -> None:
-    victim = rig.join(Role.EXPERIMENT, "victim")
-    play_first = rig.turns_until(lambda: not received(victim))
-    assert play_first == 0
-    victim.send_bytes(frame(Kind.RL_INIT, "nowhere", 1, None))
+    victim = Victim(rig)
+    victim.play()
     attack(rig)
-    turns = play(rig, victim)
-    # The first request waits in the queue, since its connection has not had a turn there yet.
-    assert turns[1:] == [1] * (REQUESTS - 1)
+    assert victim.play() == [1] * (3 * REQUESTS)
+
+
+def test_requests_that_need_no_player_take_no_more_than_the_queues_share(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asking = queries(rig)
+    for _ in range(len(asking) * _MAX_QUERIES):
+        rig.hub.loop.turn()
+    acted: list[Message] = []
+    receive = rig.hub.switchboard.receive
+
+    def count(route: Route, message: Message, now: float) -> bool:
+        acted.append(message)
+        return receive(route, message, now)
+
+    monkeypatch.setattr(rig.hub.switchboard, "receive", count)
+    for _ in range(100):
+        rig.hub.loop.turn()
+    assert 0 < len(acted) <= 100, "at most one a turn"
 
 
 @pytest.mark.parametrize(("kind", "scalars"), [(Kind.HEARTBEAT, ()), (Kind.RL_RETURN, ())])
@@ -228,6 +278,6 @@ def test_a_newcomer_that_holds_little_is_not_evicted_for_those_that_fill_the_mem
 
 def test_who_takes_part_in_no_session_and_holds_much_is_evicted_first() -> None:
     memory = Memory(2**20)
-    seated, newcomer = Holding(memory, 2**20, True), Holding(memory, 2**17, False)
+    seated, newcomer = Holding(memory, 2**20 - 2**17, True), Holding(memory, 2**17, False)
     memory.relieve()
     assert (seated.evicted, newcomer.evicted) == (False, True)

@@ -22,14 +22,11 @@ from glue.legacy.gateway import Gateway
 from glue.wire import zmtp
 from glue.wire.messages import Kind, Message, Role
 from tests.players import ScriptedAgent, ScriptedEnvironment
-from tests.scripted.peer import ScriptedPeer, framed
-
-TIMEOUT = 20.0
-"""Seconds until a test gives up waiting. Generous: machines are busy."""
+from tests.scripted.peer import TIMEOUT, ScriptedPeer, framed
 
 
 def hub(*urls: str) -> Hub:
-    return Hub(HubConfig(bind=urls, heartbeat=0.05))
+    return Hub(HubConfig(bind=urls, heartbeat=0.05, greeting=TIMEOUT))
 
 
 def port_of(listening: Hub) -> int:
@@ -109,7 +106,7 @@ def test_a_hub_whose_gateway_cannot_start_listens_no_longer() -> None:
 
 def test_an_address_opened_once_serves_one_hub_after_another_and_refuses_no_connection_between() -> None:
     with open_address("tcp://127.0.0.1:*") as address:
-        config = HubConfig(bind=(address.url,), heartbeat=0.05)
+        config = HubConfig(bind=(address.url,), heartbeat=0.05, greeting=TIMEOUT, farewell=0.1)
         for _ in range(2):
             with (
                 socket.create_connection(("127.0.0.1", address.port), TIMEOUT) as early,
@@ -175,7 +172,7 @@ def test_an_error_of_the_hub_costs_one_connection_and_is_reported() -> None:
             return super().receive(route, message, now)
 
     lines: list[str] = []
-    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)
+    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT)
     listening = Hub(config, lines.append)
     listening.switchboard.__class__ = Faulty
     with listening.in_background(), connect(listening.endpoints[0], "other") as other:
@@ -204,7 +201,9 @@ def test_everything_sent_before_a_reset_is_received() -> None:
             if event in line:
                 semaphore.release()
 
-    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=60.0), log)
+    listening = Hub(
+        HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=TIMEOUT, greeting=TIMEOUT), log
+    )
     sessions = [f"{number}" for number in range(listening.config.max_seats)]
 
     with listening.in_background():

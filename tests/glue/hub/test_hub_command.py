@@ -15,7 +15,7 @@ import pytest
 
 from glue.client.experiment import connect
 from tests.scripted.peer import TIMEOUT
-from tests.scripted.process import running
+from tests.scripted.process import address, address_in, running
 
 PROGRAM: Final = "from glue.cli.hub import main; main()"
 
@@ -37,8 +37,7 @@ threads.Thread = Slow
 def said(*options: str, program: str = PROGRAM) -> list[str]:
     """Return the lines that a hub logs after its address, while an experiment joins and leaves."""
     with running("-c", program, "--bind", "tcp://127.0.0.1:*", "--heartbeat", "0.05", *options) as hub:
-        assert hub.stderr is not None
-        url = hub.stderr.readline().split()[-1]
+        url = address(hub)
         with connect(url, "s") as glue:
             assert glue.rl_num_episodes() == 0
         with connect(url, "s"):
@@ -85,7 +84,7 @@ def test_a_hub_whose_full_log_is_not_read_can_be_stopped(number: signal.Signals)
     command = [sys.executable, "-c", PROGRAM, "--bind", "tcp://127.0.0.1:*"]
     with subprocess.Popen(command, stderr=writing) as hub, open(reading, "rb", buffering=0) as log:
         try:
-            url = log.readline().decode().split()[-1]
+            url = address_in(log.readline().decode())
             # Opened again, so that the hub's own end still blocks.
             end = os.open(f"/proc/self/fd/{writing}", os.O_WRONLY | os.O_NONBLOCK)
             with suppress(BlockingIOError):  # the pipe is full

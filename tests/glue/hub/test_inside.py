@@ -23,13 +23,12 @@ from glue.hub.io.loop import Loop
 from glue.hub.io.server import Hub
 from glue.wire.messages import Kind, Message
 from tests.players import ChainAgent, ChainEnvironment
-
-TIMEOUT = 10.0
+from tests.scripted.peer import TIMEOUT
 
 
 @pytest.fixture
 def hub() -> Iterator[Hub]:
-    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)).in_background() as hub:
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT)).in_background() as hub:
         yield hub
 
 
@@ -59,7 +58,7 @@ def test_it_plays_as_in_one_process(hub: Hub) -> None:
 
 def test_it_plays_where_there_is_no_epoll(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(network, "Poller", network.PortablePoller)  # as on macOS
-    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)).in_background() as hub:
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT)).in_background() as hub:
         serve_chain(hub)
         with inside(hub) as glue, local(ChainAgent(), ChainEnvironment()) as expected:
             assert play(glue) == play(expected)
@@ -187,6 +186,6 @@ def test_a_verb_that_is_interrupted_anywhere_leaves_the_loop_to_others() -> None
             sys.setprofile(None)
         closing = threading.Thread(target=hub.close, daemon=True)
         closing.start()
-        closing.join(10)
+        closing.join(TIMEOUT)
         assert not closing.is_alive(), f"at place {places}"
     assert places > 10

@@ -53,7 +53,7 @@ def arranged(inside: Any, agent: Any, environment: Any) -> Iterator[tuple[Experi
     """Yield the experiment of a hub with some players inside and the others on sockets, and the hub's URL."""
     players = {Role.AGENT: agent, Role.ENVIRONMENT: environment}
     threads = []
-    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)).in_background() as hub:
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=60.0)).in_background() as hub:
         url = hub.endpoints[0]
         threads += [serve(role, player, url) for role, player in players.items() if role not in inside]
         transport = InsideTransport(hub, {role: players[role] for role in inside})

@@ -12,6 +12,7 @@ import pytest
 from glue.hub.io.connection import Connection
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
+from tests.scripted.peer import TIMEOUT
 
 
 @contextmanager
@@ -46,7 +47,7 @@ def test_lines_are_written_in_order_and_all_before_the_end() -> None:
     log = Log(written.append)
     for number in range(500):
         log(f"{number}")
-    log.close()
+    log.close(TIMEOUT)
     log("too late")
     assert written == [f"{number}" for number in range(500)]
 
@@ -66,7 +67,7 @@ def test_lines_that_do_not_fit_are_counted_and_dropped() -> None:
     for number in range(5000):
         log(f"{number}")
     go_on.set()
-    log.close()
+    log.close(TIMEOUT)
     *lines, last = written
     assert lines == ["first", *map(str, range(1000))]
     assert last.startswith("4000 more lines were dropped")

@@ -62,7 +62,7 @@ class Log:
 @contextmanager
 def serving(folder: KeyFolder, log: Log | None = None) -> Iterator[Hub]:
     bind = Bind("tcp://127.0.0.1:*", keys=read_keys(folder.path))
-    config = HubConfig(bind=(bind,), heartbeat=0.05)
+    config = HubConfig(bind=(bind,), heartbeat=0.05, greeting=TIMEOUT)
     with Hub(config, log or (lambda line: None)).in_background() as hub:
         yield hub
 
@@ -360,4 +360,5 @@ def test_a_handshake_that_stops_half_way_is_dropped(folder: KeyFolder, stack: Ex
         peer.send_bytes(initiate[: int(len(initiate) * part)])
     peer, keys = begun[-1]
     keys.ready(peer.read_frame()[1])
+    object.__setattr__(hub.config, "greeting", 0.0)  # from now on it waits for nobody
     assert [peer.read_to_end() for peer in (silent, cut, *(peer for peer, _ in begun))] == [b""] * 5

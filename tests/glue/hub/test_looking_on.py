@@ -18,9 +18,7 @@ from glue.types import Action, Observation
 from glue.wire.messages import THREE_ROLES, Kind
 from tests.hubs import serving
 from tests.players import ScriptedAgent, ScriptedEnvironment
-from tests.scripted.peer import ScriptedPeer
-
-WAIT = 20.0
+from tests.scripted.peer import TIMEOUT, ScriptedPeer
 
 
 def wanted(hub: Hub) -> int:
@@ -39,12 +37,12 @@ class Large(ScriptedEnvironment):
 @contextmanager
 def playing(environment: ScriptedEnvironment) -> Iterator[tuple[Hub, Experiment]]:
     bind = ("tcp://127.0.0.1:*", Bind("tcp://127.0.0.1:*", frozenset(THREE_ROLES)))
-    hub = Hub(HubConfig(bind=bind, heartbeat=0.05))
+    hub = Hub(HubConfig(bind=bind, heartbeat=0.05, greeting=TIMEOUT, farewell=0.1))
     url = hub.endpoints[0]
     with (
         serving(url, ScriptedAgent(), environment),
         hub.in_background(),
-        connect(url, wait=WAIT) as glue,
+        connect(url, wait=TIMEOUT) as glue,
     ):
         glue.wait_for_players(lambda missing: None)
         yield hub, glue
@@ -54,7 +52,7 @@ def test_an_observer_sees_what_is_played_and_what_the_agent_answers() -> None:
     environment = ScriptedEnvironment(length=3)
     with playing(environment) as (hub, glue):
         glue.rl_init()
-        with observe(hub.endpoints[0], wait=WAIT) as observer:
+        with observe(hub.endpoints[0], wait=TIMEOUT) as observer:
             observer.want(100)
             assert isinstance(observer.receive(), TaskSpecSeen)
             while not wanted(hub):
@@ -78,12 +76,12 @@ def test_an_observer_sees_what_is_played_and_what_the_agent_answers() -> None:
 
 def test_where_only_who_takes_part_may_connect_an_observer_is_refused() -> None:
     with playing(ScriptedEnvironment()) as (hub, _), pytest.raises(Refused, match="no observer of session"):
-        observe(hub.endpoints[1], wait=WAIT)
+        observe(hub.endpoints[1], wait=TIMEOUT)
 
 
 def test_an_observer_is_told_when_the_session_is_over() -> None:
     with playing(ScriptedEnvironment()) as (hub, _):
-        observer = observe(hub.endpoints[0], wait=WAIT)
+        observer = observe(hub.endpoints[0], wait=TIMEOUT)
     with observer, pytest.raises(HubClosed):
         list(observer)
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
@@ -32,6 +33,7 @@ from glue.legacy.codec import (
 )
 from glue.types import Action, Observation, body_size
 from glue.wire.messages import Body, Kind
+from tests.proof import size
 
 CAPTURES = sorted((Path(__file__).parents[2] / "golden" / "captures").glob("*.json"))
 VOCABULARIES = {
@@ -52,8 +54,7 @@ OF_ROLE = {
     ("experiment", "server"): TO_EXPERIMENT,
 }
 
-# A busy machine must not make a correct test fail.
-unhurried = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+some = settings(max_examples=size(15, 1000), suppress_health_check=[HealthCheck.too_slow])
 
 
 def raw(kind: int, payload: bytes = b"") -> bytes:
@@ -116,27 +117,6 @@ def test_a_recorded_stream_gives_the_same_messages_however_it_is_cut(size: int) 
         assert messages == [message for each in frames for message in decode(each, vocabulary)]
 
 
-def test_the_extreme_numbers_of_test_1_arrive_exactly() -> None:
-    path = next(path for path in CAPTURES if path.stem == "c_test_1")
-    messages = [
-        message
-        for vocabulary, frames in streams(path)
-        if vocabulary is FROM_ENVIRONMENT
-        for each in frames
-        for message in decode(each, vocabulary)
-    ]
-    last_step = [message for message in messages if message.kind is Kind.ENV_STEP][-1]
-    assert last_step.scalars == (-2.0, False)
-    assert (
-        last_step.body
-        == Observation(
-            ints=[173, -173, 2147483647, 0, -2147483648],
-            doubles=[0.0078125, -0.0078125, 0.0, 0.0078125e150, -0.0078125e150],
-            chars=b"gF? &",
-        ).body
-    )
-
-
 # Round trips
 
 
@@ -183,7 +163,7 @@ def frames_of(draw: st.DrawFn, vocabulary: Vocabulary) -> Frame:
 
 
 @pytest.mark.parametrize("vocabulary", VOCABULARIES.values(), ids=VOCABULARIES)
-@unhurried
+@some
 @given(data=st.data())
 def test_messages_survive_writing_and_reading_at_any_split(
     vocabulary: Vocabulary, data: st.DataObject
@@ -199,7 +179,7 @@ def test_messages_survive_writing_and_reading_at_any_split(
     assert received == sent
 
 
-@unhurried
+@some
 @given(
     ints=st.lists(st.integers(0, 2**32 - 1), max_size=5),
     doubles=st.lists(st.integers(0, 2**64 - 1), max_size=5),
@@ -272,7 +252,7 @@ def test_the_vocabularies_are_the_originals() -> None:
 
 
 def test_a_million_of_each_is_accepted() -> None:
-    body = Observation([7] * MAX_COUNT, [0.5] * MAX_COUNT, b"c" * MAX_COUNT).body
+    body = Observation(np.full(MAX_COUNT, 7), np.full(MAX_COUNT, 0.5), b"c" * MAX_COUNT).body
     message = Frame(Kind.ENV_START, body=body)
     assert decode(encode(message, FROM_ENVIRONMENT), FROM_ENVIRONMENT) == [message]
 
@@ -311,7 +291,7 @@ def java_frame(kind: int, text: str) -> bytes:
     return struct.pack(">iI", kind, 4 + units) + payload
 
 
-@unhurried
+@some
 @given(st.lists(st.text(st.characters(blacklist_characters="\0", codec="utf-8")), max_size=4))
 @example(["é", "漢字", "🎲", "", "plain"])
 def test_texts_that_java_counted_in_utf16_units_arrive_whole(texts: list[str]) -> None:
@@ -321,7 +301,7 @@ def test_texts_that_java_counted_in_utf16_units_arrive_whole(texts: list[str]) -
     ]
 
 
-@unhurried
+@some
 @given(st.text(st.characters(blacklist_characters="\0", codec="utf-8")), st.data())
 def test_the_end_of_a_java_text_that_comes_late_is_dropped_and_the_next_message_read(
     text: str, data: st.DataObject
@@ -399,9 +379,9 @@ def payloads() -> Iterator[tuple[Vocabulary, int, bytes]]:
 
 def test_a_payload_cut_short_anywhere_is_an_error() -> None:
     for vocabulary, kind, payload in payloads():
-        for size in range(len(payload)):
+        for end in range(len(payload)):
             with pytest.raises(RemoteProtocolError, match="more bytes were expected"):
-                decode(raw(kind, payload[:size]), vocabulary)
+                decode(raw(kind, payload[:end]), vocabulary)
 
 
 def test_surplus_payload_is_ignored() -> None:
@@ -413,8 +393,8 @@ def test_surplus_payload_is_ignored() -> None:
 def test_an_unfinished_frame_gives_nothing() -> None:
     for vocabulary, kind, payload in payloads():
         whole = raw(kind, payload)
-        for size in range(len(whole)):
-            assert decode(whole[:size], vocabulary) == []
+        for end in range(len(whole)):
+            assert decode(whole[:end], vocabulary) == []
 
 
 @pytest.mark.parametrize("counts", [(MAX_COUNT + 1, 0, 0), (0, MAX_COUNT + 1, 0), (0, 0, MAX_COUNT + 1)])
@@ -478,7 +458,7 @@ def test_after_an_error_the_decoder_stays_in_error_and_keeps_nothing() -> None:
 
 
 @pytest.mark.parametrize("vocabulary", VOCABULARIES.values(), ids=VOCABULARIES)
-@unhurried
+@some
 @given(data=st.data())
 def test_random_bytes_give_messages_or_the_one_error(vocabulary: Vocabulary, data: st.DataObject) -> None:
     kinds = st.sampled_from([*vocabulary, Control.TERMINATE, 0])

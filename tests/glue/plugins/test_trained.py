@@ -78,7 +78,7 @@ def test_what_another_task_taught_is_refused_at_init() -> None:
 
 
 def test_loaded_agent_plays_from_the_command_line_as_it_had_learned(tmp_path: Path) -> None:
-    learned = sarsa(1000).agent_save()
+    learned = sarsa(200).agent_save()
     (tmp_path / "mines.agent").write_bytes(learned)
     expected = []
     with local(Trained(SarsaAgent(learning=False, epsilon=0), learned), MinesEnvironment()) as glue:

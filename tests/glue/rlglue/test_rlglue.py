@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import importlib
+import runpy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from glue import local
+from glue import load_run, local
 from glue.errors import ConfigError, LocalProtocolError
 from glue.options import build, parameters
 from glue.plugins.loading import file_in, find, located
 from glue.rlglue.package import provide
 from glue.rlglue.parser import TaskSpecParser
+from glue.taskspec import parse_task_spec
 from glue.testing import check_agent, check_environment
 from glue.types import Action, Observation
 from glue.wire.messages import Role
@@ -170,11 +171,58 @@ class Neither:
 """
 
 
+OLDER = """
+from RlGlue import BaseAgent, BaseEnvironment, RlGlue
+from RlGlue.environment import BaseEnvironment as Same
+import numpy as np
+
+
+class Count(BaseEnvironment):
+    def __init__(self, extra: bool = False):
+        assert Same is BaseEnvironment
+        self.extra = extra
+
+    def start(self):
+        self.at = 0
+        return np.array([self.at])
+
+    def step(self, action):
+        self.at += action
+        found = (-1.5, np.array([self.at]), self.at >= 3)
+        return (*found, {"gamma": 1}) if self.extra else found
+
+
+class Up(BaseAgent):
+    def start(self, observation):
+        self.log = [("start", int(observation))]
+        return 1
+
+    def step(self, reward, observation):
+        self.log.append((reward, int(observation)))
+        return 1
+
+    def end(self, reward):
+        self.log.append(("end", reward))
+"""
+
+SILENT = """
+from rlglue.environment.Environment import Environment
+
+
+class Silent(Environment):
+    def env_init(self):
+        pass
+
+    env_start = env_step = env_init
+"""
+
+
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working directory, which holds players of both packages."""
     (tmp_path / "codec.py").write_text(CODEC)
     (tmp_path / "andnp.py").write_text(ANDNP)
+    (tmp_path / "older.py").write_text(OLDER)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -238,26 +286,41 @@ def test_players_of_rlglue_andnp_play_as_by_its_own_loop(form: str, here: Path) 
     assert agent._made.log == original.log
 
 
-def test_same_numbers_in_one_process_and_in_three(here: Path) -> None:
+@pytest.mark.parametrize("extra", [False, True])
+def test_players_of_rlglue_as_it_was_before_2025_play(here: Path, extra: bool) -> None:
+    agent, environment = players("older.py:Count", "older.py:Up", extra=extra)
+    with local(agent, environment) as glue:
+        glue.rl_init()
+        assert glue.rl_episode(9)
+        assert (glue.rl_return(), glue.rl_num_steps()) == (-4.5, 3)
+    assert agent._made.log == [("start", 0), (-1.5, 1), (-1.5, 2), ("end", -1.5)]
+
+
+def test_an_environment_of_the_codec_without_a_task_spec_states_none_or_that_of_its_option(
+    here: Path,
+) -> None:
+    (here / "silent.py").write_text(SILENT)
+    silent = find(Role.ENVIRONMENT, "rlglue:silent.py:Silent")
+    assert parse_task_spec(build(silent, {}).env_init()).actions.stated is False
+    assert build(silent, {"task_spec": "VERSION mine"}).env_init() == "VERSION mine"
+
+
+def test_same_numbers_in_processes_and_by_a_plan_in_one(here: Path) -> None:
     pair = ("--env", "rlglue:andnp.py:Grid", "--agent", "rlglue:andnp.py:Wanderer", "--seed", "3")
-    tables = []
-    for name, how in (("one", ["--in-process"]), ("three", []), ("plan", None)):
-        if how is None:
-            (here / "in").mkdir()
-            (here / "in/plan.toml").write_text(
-                'episodes = 12\nseed = 3\n[environments.Grid]\nclass = "rlglue:../andnp.py:Grid"\n'
-                '[agents.Wanderer]\nclass = "rlglue:../andnp.py:Wanderer"\n'
-            )
-            words: list[str] = ["--plan", "in/plan.toml", "--workers", "2"]
-        else:
-            words = [*pair, "--episodes", "12", *how]
-        done = forked.run("glue-experiment", *words, "--out", name, cwd=here, timeout=120)
+    (here / "in").mkdir()
+    (here / "in/plan.toml").write_text(
+        'episodes = 5\nseed = 3\n[environments.Grid]\nclass = "rlglue:../andnp.py:Grid"\n'
+        '[agents.Wanderer]\nclass = "rlglue:../andnp.py:Wanderer"\n'
+    )
+    returns: list[list[float]] = []
+    for words in ([*pair, "--episodes", "5"], ["--plan", "in/plan.toml", "--in-process"]):
+        name = f"run-{len(returns)}"
+        done = forked.run("glue-experiment", *words, "--out", name, cwd=here)
         assert done.returncode == 0, done.stderr
         assert "has no agent_seed" not in done.stderr
         assert any("andnp.py" in path.name for path in (here / name / "sources").rglob("*")), name
-        csv = forked.run("glue-results", "export", name, cwd=here, timeout=60).stdout
-        tables.append([line.split(",")[1:5] for line in csv.splitlines()])
-    assert tables[0] == tables[1] == tables[2]
+        returns.append(load_run(here / name)["return"].tolist())
+    assert returns[0] == returns[1]
 
 
 def test_adapters_keep_the_contract(here: Path) -> None:
@@ -275,9 +338,6 @@ def test_constructor_s_keywords_are_options_but_for_the_seed(here: Path) -> None
     assert not hasattr(find(Role.ENVIRONMENT, "rlglue:codec.py:Line"), "env_seed")
     stated = build(grid, {"task_spec": "VERSION mine"})
     assert stated.env_init() == "VERSION mine"
-    shown = forked.run("glue-env", "rlglue:andnp.py:Grid", "--help", cwd=here)
-    assert "--size" in shown.stdout
-    assert "--task-spec" in shown.stdout
 
 
 def test_truncation_ends_an_episode(here: Path) -> None:
@@ -312,10 +372,11 @@ def test_mistakes_are_named(here: Path) -> None:
 
 
 def test_codec_s_own_loader_names_the_command(here: Path) -> None:
-    main = "runpy.run_path('codec.py', run_name='__main__')"
-    program = f"import runpy\nfrom glue.rlglue.package import provide\nprovide()\n{main}"
-    done = subprocess.run([sys.executable, "-c", program], cwd=here, capture_output=True, text=True)
-    assert "run it with glue-agent rlglue:FILE.py:Walker" in done.stderr
+    provide()
+    with pytest.raises(ConfigError, match=r"run it with glue-agent rlglue:FILE\.py:Walker"):
+        runpy.run_path("codec.py", run_name="__main__")
+    with pytest.raises(ConfigError, match=r"--agent rlglue:FILE\.py:str --env rlglue:FILE\.py:int"):
+        importlib.import_module("RlGlue").RlGlue("agent", 7)
 
 
 class Strange:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from glue.client.experiment import connect
+from glue.conform.peers import checking
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
@@ -19,8 +20,8 @@ from glue.testing import ContractBroken, HubRule, check_hub
 from glue.types import Action
 from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
 
-WAIT = 5.0
-"""Seconds to wait; only the hubs that say nothing use them up."""
+WAIT = 60.0
+"""Seconds to wait; generous, as machines are busy. Only hubs that say nothing use them up."""
 
 
 @contextmanager
@@ -30,10 +31,8 @@ def hub(url: str = "tcp://127.0.0.1:*") -> Iterator[str]:
         yield running.endpoints[0]
 
 
-@pytest.mark.parametrize("scheme", ["tcp", "ipc"])
-def test_our_hub_keeps_every_rule_also_while_it_is_at_work(scheme: str, tmp_path: Path) -> None:
-    address = "tcp://127.0.0.1:*" if scheme == "tcp" else f"ipc://{tmp_path}/hub"
-    with hub(address) as url, connect(url) as glue:
+def test_our_hub_keeps_every_rule_also_while_it_is_at_work(tmp_path: Path) -> None:
+    with hub(f"ipc://{tmp_path}/hub") as url, connect(url) as glue:
         check_hub(url, wait=WAIT)
         assert glue.rl_num_episodes() == 0
 
@@ -301,7 +300,6 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
     "counts a hello for an answer": (HubRule.WELCOME_LOST, CountsAHelloForAnAnswer),
     "sends off with an error": (HubRule.GOODBYE, saying(Kind.GOODBYE, instead(Kind.ERROR, "full", ""))),
     "does not say peer-lost": (HubRule.LOST, without(ErrorCode.PEER_LOST)),
-    "waits for ever": (HubRule.SILENT, WaitsForEver),
     "initialises no newcomer": (HubRule.REPLACED, InitialisesNoNewcomer),
 }
 
@@ -319,9 +317,16 @@ def test_broken_hub_is_found_by_name(monkeypatch: pytest.MonkeyPatch, broken: st
     assert caught(monkeypatch, made).rule is rule
 
 
-def test_hub_that_never_welcomes_is_found_when_the_wait_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert caught(monkeypatch, NeverWelcomes, wait=0.2).rule is HubRule.GREETING
+@pytest.mark.parametrize(
+    ("broken", "rule"), [(NeverWelcomes, HubRule.GREETING), (WaitsForEver, HubRule.SILENT)]
+)
+def test_hub_that_says_nothing_is_found_when_the_wait_is_over(
+    monkeypatch: pytest.MonkeyPatch, broken: type[Spoiled], rule: HubRule
+) -> None:
+    only = [each for each in checking.RULES if each.text == rule]
+    monkeypatch.setattr(checking, "RULES", only)
+    assert caught(monkeypatch, broken, wait=0.5).rule is rule
 
 
 def test_every_rule_is_broken_by_a_hub() -> None:
-    assert {rule for rule, _ in BROKEN_HUBS.values()} == set(HubRule)
+    assert {rule for rule, _ in BROKEN_HUBS.values()} == set(HubRule) - {HubRule.SILENT}

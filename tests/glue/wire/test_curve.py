@@ -13,13 +13,8 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
 from glue.errors import RemoteProtocolError
 from glue.keys.certificates import encode as key_text
-from glue.types import Observation
 from glue.wire import curve
-from glue.wire.codec import FROM_HUB, TO_HUB
-from glue.wire.codec import encode as frames_of
 from glue.wire.curve import CurveServer, public_key
-from glue.wire.messages import Kind, Message
-from glue.wire.stream import Stream
 from glue.wire.zmtp import (
     CURVE_CLIENT_GREETING,
     CURVE_GREETING,
@@ -38,9 +33,6 @@ from tests.scripted.curve import GREETING as CLIENT_GREETING
 from tests.scripted.curve import METADATA, CurveClient, Pair, command
 
 MAX_FRAME = 100_000
-BODY = bytes(Observation([1, 2], [0.5], b"abc").body)
-CALL = Message(Kind.ENV_STEP, "a", 1, (), BODY)
-ANSWER = Message(Kind.ENV_STEP, "a", 1, (-0.5, False), BODY)
 SERVER, CAROL, STRANGER = Pair.new(), Pair.new(), Pair.new()
 
 
@@ -234,15 +226,9 @@ def test_an_encrypted_frame_has_a_long_head_from_256_bytes_on() -> None:
     decoder, client = connected()
     for size in (222, 223):
         assert events(decoder, client.message(bytes(size))) == [[bytes(size)]]
-    hub, peer = streams()
-    heads = {}
-    for size in (222, 223):
-        first = b"".join(hub.encode(CALL._replace(kind=Kind.ENV_MESSAGE, body=bytes(size))))
-        peer.receive_data(first)
-        assert isinstance(peer.next_event(), Message)
-        head_size = 2 + first[1]
-        heads[size] = first[head_size : head_size + 1]
-    assert heads == {222: b"\0", 223: b"\2"}
+    mechanism = server()
+    connected(mechanism)
+    assert [mechanism.encode([bytes(size)])[:1] for size in (222, 223)] == [b"\0", b"\2"]
 
 
 def _with_bit(data: bytes, at: int, bit: int) -> bytes:
@@ -480,55 +466,3 @@ def test_a_client_and_a_router_of_libzmq_understand_each_other() -> None:
             while (answer := read()) is None:
                 pass
             assert answer == sent
-
-
-def streams() -> tuple[Stream, Stream]:
-    """Return a hub's and a peer's end of an encrypted connection, which have exchanged a step."""
-    hub = Stream(ROUTER, MAX_FRAME, mechanism=server())
-    peer = Stream(DEALER, MAX_FRAME, mechanism=client_of()[0])
-    hub.receive_data(CURVE_CLIENT_GREETING)
-    peer.receive_data(CURVE_GREETING)
-    while not (hub.ready and peer.ready):
-        for one, other in ((hub, peer), (peer, hub)):
-            while (said := one.next_event()) is not None:
-                assert isinstance(said, bytes)
-                if said:
-                    other.receive_data(said)
-    for _ in range(2):
-        for one, other, message in ((hub, peer, CALL), (peer, hub, ANSWER)):
-            other.receive_data(b"".join(one.encode(message)))
-            assert other.next_event() == message
-    return hub, peer
-
-
-def test_usual_steps_need_no_codec(monkeypatch: pytest.MonkeyPatch) -> None:
-    hub, peer = streams()
-    monkeypatch.delattr("glue.wire.stream.encode")
-    monkeypatch.delattr("glue.wire.stream.decode")
-    for body in (BODY, bytes(Observation(range(20_000)).body)):
-        for seq in (3, 200, 70_000):
-            for one, other, step in ((hub, peer, CALL), (peer, hub, ANSWER)):
-                message = step._replace(seq=seq, body=body)
-                other.receive_data(b"".join(one.encode(message)))
-                assert other.next_event() == message
-
-
-def test_steps_cross_an_encrypted_connection_as_they_are() -> None:
-    for body in (BODY, bytes(Observation(range(20_000)).body)):
-        hub, peer = streams()
-        for seq in (3, 200, 70_000, 2**32):
-            answer = ANSWER._replace(seq=seq, body=body)
-            data = b"".join(peer.encode(answer))
-            assert body not in data
-            for at in range(0, len(data), 1000):
-                hub.receive_data(data[at : at + 1000])
-            assert hub.next_event() == answer
-            assert hub.next_event() is None
-
-
-def test_a_step_in_plain_text_is_never_taken_for_an_encrypted_one() -> None:
-    hub, peer = streams()
-    for receiver, message, table in ((hub, ANSWER, TO_HUB), (peer, CALL, FROM_HUB)):
-        receiver.receive_data(encode(frames_of(message, table)))
-        with pytest.raises(RemoteProtocolError):
-            receiver.next_event()

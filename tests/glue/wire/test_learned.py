@@ -265,7 +265,7 @@ def converse(seed: int) -> None:
 
 
 def test_what_a_stream_has_learned_changes_nothing() -> None:
-    for seed in range(size(400, 50_000)):
+    for seed in range(size(300, 50_000)):
         try:
             converse(seed)
         except Exception as error:

@@ -15,7 +15,7 @@ from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, clip, decode, encode
 from glue.wire.limits import MAX_HEADER, MAX_NAME
-from glue.wire.messages import CALLS, OBSERVING, Body, Kind, Message, Scalar, Shape
+from glue.wire.messages import Body, Kind, Message, Scalar, Shape
 
 int32s = st.lists(st.integers(-(2**31), 2**31 - 1), max_size=5)
 doubles = st.lists(st.floats(), max_size=5)
@@ -87,46 +87,15 @@ def test_what_the_hub_sends_arrives_unchanged(message: Message) -> None:
     assert repr(decode(encode(message, FROM_HUB), FROM_HUB)) == repr(message)
 
 
-@pytest.mark.parametrize("shapes", [TO_HUB, FROM_HUB], ids=["to the hub", "from the hub"])
-def test_every_kind_goes_both_ways_with_a_request_and_its_reply(shapes: Mapping[Kind, Shape]) -> None:
-    shown = OBSERVING.keys() - {Kind.OBSERVE}
-    assert shapes.keys() == (set(Kind) - shown if shapes is TO_HUB else set(Kind))
-    for kind, call in CALLS.items():
-        assert {id(TO_HUB[kind]), id(FROM_HUB[kind])} == {id(call.request), id(call.reply)}
-
-
-def test_a_message_is_a_header_and_at_most_one_body() -> None:
-    frames = encode(Message(Kind.ENV_STEP, "s", 7, (1.5, True), Observation(ints=[3]).body), TO_HUB)
-    assert frames == (header(13, "s", 7, 1.5, True), Observation(ints=[3]).body)
-    assert encode(Message(Kind.HEARTBEAT, "s", 0), TO_HUB) == (header(67, "s", 0),)
-
-
-def test_an_empty_body_is_a_frame_of_its_own() -> None:
-    assert encode(Message(Kind.ENV_MESSAGE, "s", 1), TO_HUB) == (header(19, "s", 1), b"")
-
-
-def test_a_header_too_long_to_be_sent_is_a_local_error() -> None:
+def test_a_header_has_at_most_4096_bytes_and_an_array_64_items() -> None:
+    versions = header(64, "s", 0, [1] * 64, "agent", bytes(16), "n", "c", [])
+    assert decode([versions], TO_HUB).scalars[0] == (1,) * 64
+    spare = MAX_HEADER - len(header(68, "s", 0, "x" * 256))
+    (longest,) = encode(Message(Kind.GOODBYE, "s", 0, ("x" * (256 + spare),)), TO_HUB)
+    assert len(longest) == MAX_HEADER
+    assert decode([longest], TO_HUB).kind is Kind.GOODBYE
     with pytest.raises(LocalProtocolError, match="header of GOODBYE would take"):
-        encode(Message(Kind.GOODBYE, "s", 0, ("x" * MAX_HEADER,)), TO_HUB)
-
-
-# Other valid values
-
-
-@pytest.mark.parametrize("reward", [0, -7, 2**53, -(2**53)])
-def test_a_whole_reward_is_a_number(reward: int) -> None:
-    message = decode(env_step(reward=reward), TO_HUB)
-    assert message.scalars[0] == reward
-    assert type(message.scalars[0]) is float
-
-
-@pytest.mark.parametrize(("terminal", "expected"), [(0, False), (1, True), (3, True), (-1, True)])
-def test_a_terminal_of_the_original_kind_is_a_truth_value(terminal: int, expected: bool) -> None:
-    assert decode(env_step(terminal=terminal), TO_HUB).scalars[1] is expected
-
-
-def test_a_seed_may_be_missing() -> None:
-    assert decode([header(20, "s", 1, None)], TO_HUB).scalars == (None,)
+        encode(Message(Kind.GOODBYE, "s", 0, ("x" * (257 + spare),)), TO_HUB)
 
 
 # Headers that are refused
@@ -161,11 +130,6 @@ def test_a_seed_out_of_range_is_refused(seed: Any) -> None:
     assert "a whole number from 0 to 2^63 - 1" in rejected(header(20, "s", 1, seed))
 
 
-@pytest.mark.parametrize("limit", [-1, 2**63, None, 1.0])
-def test_a_step_limit_out_of_range_is_refused(limit: Any) -> None:
-    assert "a whole number from 0 to 2^63 - 1" in rejected(header(27, "s", 1, limit))
-
-
 @pytest.mark.parametrize(
     ("versions", "abilities"),
     [("1", []), ([1.0], []), ([True], []), ([[1]], []), ([1], [1]), ([1], "seed"), (1, [])],
@@ -184,53 +148,23 @@ def test_an_unknown_kind_names_its_session_and_number(kind: int) -> None:
 @pytest.mark.parametrize(
     ("frame", "complaint"),
     [
-        (header("ENV_STEP", "s", 1), "a kind is a whole number"),
         (header(13.0, "s", 1), "a kind is a whole number"),
         (header(True, "s", 1), "a kind is a whole number"),
         (header(13, b"s", 1), "a session is a text"),
-        (header(13, None, 1), "a session is a text"),
         (header(13, "s" * (MAX_NAME + 1), 1), "a session is a text"),
-        (header(13, "s", -1), "a sequence number"),
         (header(13, "s", 2**63), "a sequence number"),
-        (header(13, "s", 1.0), "a sequence number"),
         (header(13, "s", None), "a sequence number"),
         (header(13, "s"), "a header is an array"),
-        (header(), "a header is an array"),
-        (b"\x01", "a header is an array"),
         (b"\x80", "a header is an array"),
         (b"", "not msgpack within the limits"),
-        (b"\xc1", "not msgpack within the limits"),
-        (header(67, "s", 0) + b"\x00", "not msgpack within the limits"),
-        (header(67, "s", 0)[:-1], "not msgpack within the limits"),
-        (b"\x93\x43\xa1\xff\x00", "not msgpack within the limits"),
+        (b"\x9f" * MAX_HEADER, "not msgpack within the limits"),
+        (b"\x81\x00" * (MAX_HEADER // 2), "not msgpack within the limits"),
+        (b"\x94\x43\xa1s\x00\xd6\xff\x00\x00\x00\x00", "not msgpack within the limits"),
     ],
     ids=lambda value: value.hex() if isinstance(value, bytes) else "",
 )
 def test_what_is_no_header_is_refused(frame: bytes, complaint: str) -> None:
     assert complaint in rejected(frame)
-
-
-BOMBS = {
-    "a header one byte too long": header(68, "s", 0, "x" * (MAX_HEADER - 7)),
-    "an array of four billion": b"\xdd\xff\xff\xff\xff",
-    "an array of 65535": b"\xdc\xff\xff",
-    "a map of four billion": b"\xdf\xff\xff\xff\xff",
-    "a map of one": b"\x94\x43\xa1s\x00\x81\x00\x00",
-    "a text of four billion": b"\xdb\xff\xff\xff\xff",
-    "binary of four billion": b"\xc6\xff\xff\xff\xff",
-    "an extension of four billion": b"\xc9\xff\xff\xff\xff\x05",
-    "arrays in arrays": b"\x91" * MAX_HEADER,
-    "arrays in arrays, each of 15": b"\x9f" * MAX_HEADER,
-    "maps in maps": b"\x81\x00" * (MAX_HEADER // 2),
-    "a timestamp": b"\x94\x43\xa1s\x00\xd6\xff\x00\x00\x00\x00",
-    "an array too many": header(67, "s", 0, [0] * 65),
-}
-
-
-@pytest.mark.parametrize("name", BOMBS)
-def test_a_header_that_would_grow_is_refused(name: str) -> None:
-    text = rejected(BOMBS[name])
-    assert len(text) < 500
 
 
 @pytest.mark.parametrize("count", [0, 3, 1000])

@@ -16,7 +16,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -29,12 +29,13 @@ from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import running
 from tests.system.attacks.attacker import HONEST
+from tests.system.attacks.victim import victim
 
-LIMIT: Final = 64
-"""Megabytes that the hub may keep."""
+LIMIT: Final = 64 * 2**20
+"""Bytes that the hub may keep."""
 
-MOST: Final = LIMIT + 64
-"""Megabytes that its process may hold."""
+BESIDE: Final = 30 * 2**20
+"""Bytes by which the memory of its process may grow besides."""
 
 _TURN: Final = 20.0
 """Maximum duration of a turn of the attacker, in seconds."""
@@ -52,32 +53,30 @@ serve(players, url, key=key or None, hub_key=hub_key or None)
 
 
 @contextmanager
-def hub(*options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Start a hub in a process of its own, with a timeout of a minute."""
-    command = ["-c", "from glue.cli.hub import main; main()", "--bind", "tcp://127.0.0.1:*", "--quiet"]
-    with running(*command, "--max-memory", str(LIMIT), "--timeout", "60", *options) as process:
-        assert process.stderr is not None
-        url = process.stderr.readline().split()[-1]
-        threading.Thread(target=process.stderr.read, daemon=True).start()
-        yield url, process
-        assert process.poll() is None, "the hub has died"
-
-
-def peak(process: subprocess.Popen[str]) -> int:
-    """Return the most memory that a process has held, in megabytes."""
-    status = Path(f"/proc/{process.pid}/status").read_text()
-    return int(status.split("VmHWM:")[1].split()[0]) // 1024
+def players(url: str, sessions: Sequence[str], keys: Sequence[str] = ("", "")) -> Iterator[None]:
+    """Start the players of honest sessions, each role in a process."""
+    with ExitStack() as stack:
+        for role in ("agent", "environment"):
+            stack.enter_context(running("-c", _PLAYERS, role, url, *keys, *sessions))
+        yield
 
 
 class Honest:
     """An experiment that plays until it is stopped, and its twin in this process.
 
+    Args:
+        url: address of the hub.
+        session: name of the session.
+        keys: named arguments of `connect`.
+        pause: seconds between two episodes.
+
     Attributes:
         played: number of episodes that have ended.
     """
 
-    def __init__(self, url: str, session: str, keys: Mapping[str, Any]) -> None:
+    def __init__(self, url: str, session: str, keys: Mapping[str, Any], pause: float = 0.0) -> None:
         self.played = 0
+        self._pause = pause
         self._returns: deque[float] = deque()
         self._ended = threading.Event()
         self._stop = threading.Event()
@@ -95,6 +94,7 @@ class Honest:
                 self._returns.append(glue.rl_return())
                 self.played += 1
                 self._ended.set()
+                self._stop.wait(self._pause)
 
     def check(self) -> None:
         """Assert that episodes have ended since the last check, with the same returns as the twin's."""
@@ -120,11 +120,11 @@ def besiege(seconds: float, keyed: bool, folder: Path) -> None:
         keyed: whether the hub, the sessions and the attacker have keys.
         folder: an empty directory for the keys.
     """
-    options, ours, theirs = make_keys(folder) if keyed else ((), {}, ())
-    with hub(*options) as (url, process), ExitStack() as stack:
+    keys, ours, theirs = make_keys(folder) if keyed else (None, {}, ())
+    with victim(keys=keys, max_memory=LIMIT, greeting=1.0) as hub, ExitStack() as stack:
+        url, process, idle = hub.url, hub.process, hub.begin()
         files = [str(ours.get(name, "")) for name in ("key", "hub_key")]
-        for role in ("agent", "environment"):
-            stack.enter_context(running("-c", _PLAYERS, role, url, *files, *HONEST))
+        stack.enter_context(players(url, HONEST, files))
         sessions = [Honest(url, name, ours) for name in HONEST]
         for session in sessions:
             session.check()
@@ -141,7 +141,7 @@ def besiege(seconds: float, keyed: bool, folder: Path) -> None:
                 assert (attack.returncode, errors) == (0, "")
             for session in sessions:
                 session.check()
-            assert peak(process) <= MOST
+            assert hub.most() - idle <= LIMIT + BESIDE
             ratios.append(beside / alone)
             times.append(time_beside / time_alone)
             print(
@@ -150,15 +150,15 @@ def besiege(seconds: float, keyed: bool, folder: Path) -> None:
                 f"{1000 * time_beside:.2f} ms of the hub per episode, {1000 * time_alone:.2f} alone, "
                 f"ratio {times[-1]:.2f}, median {statistics.median(times):.2f}; "
                 f"{sum(session.played for session in sessions)} episodes as if alone, "
-                f"at most {peak(process)} MiB",
+                f"at most {hub.most() / 2**20:.0f} MiB",
                 flush=True,
             )
         for session in sessions:
             session.finish()
 
 
-def make_keys(folder: Path) -> tuple[tuple[str, ...], dict[str, Any], tuple[str, ...]]:
-    """Make keys; return the options of the hub, of the honest sessions and of the attacker."""
+def make_keys(folder: Path) -> tuple[Path, dict[str, Any], tuple[str, ...]]:
+    """Make keys; return the directory of the hub, and what honest sessions and the attacker need."""
     keys = KeyFolder(folder)
     carol, mallory = keys.entrant("carol"), keys.entrant("mallory")
     others = [f"m{number}" for number in range(40)]
@@ -169,7 +169,7 @@ def make_keys(folder: Path) -> tuple[tuple[str, ...], dict[str, Any], tuple[str,
     own = find_target(None, None, mallory, keys.hub_key).key
     assert own is not None
     return (
-        ("--keys", str(keys.path)),
+        keys.path,
         {"key": carol, "hub_key": keys.hub_key},
         (own.pair.public.hex(), own.pair.secret.hex(), own.hub.hex()),
     )

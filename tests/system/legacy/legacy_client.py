@@ -15,7 +15,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
+
+from glue.roles import Agent, Environment
+from glue.types import AbstractType, Action, Observation
 
 TIMEOUT = 30.0
 """Seconds that a test waits for the other side before it fails."""
@@ -95,11 +98,6 @@ class Numbers(NamedTuple):
     doubles: tuple[float, ...] = ()
     chars: bytes = b""
 
-    @property
-    def counts(self) -> tuple[int, int, int]:
-        """Numbers of ints, doubles and chars."""
-        return len(self.ints), len(self.doubles), len(self.chars)
-
 
 def pack_numbers(numbers: Numbers) -> bytes:
     """Return the bytes of an abstract type."""
@@ -123,6 +121,11 @@ def unpack_numbers(payload: bytes, offset: int = 0) -> tuple[Numbers, int]:
         struct.unpack_from(f">{doubles}d", payload, at_doubles),
         payload[at_chars:end],
     ), end
+
+
+def to_numbers(value: AbstractType) -> Numbers:
+    """Convert one of our observations or actions."""
+    return Numbers(tuple(value.ints.tolist()), tuple(value.doubles.tolist()), value.chars)
 
 
 def unpack_text(payload: bytes) -> str:
@@ -247,33 +250,12 @@ class Connection:
         self._socket.close()
 
 
-class Agent(Protocol):
-    """The methods that an agent program implements."""
-
-    def init(self, task_spec: str) -> None: ...
-    def start(self, observation: Numbers) -> Numbers: ...
-    def step(self, reward: float, observation: Numbers) -> Numbers: ...
-    def end(self, reward: float) -> None: ...
-    def cleanup(self) -> None: ...
-    def message(self, message: str) -> str | None: ...
-
-
-class Environment(Protocol):
-    """The methods that an environment program implements; `step` returns reward, observation and terminal."""
-
-    def init(self) -> str: ...
-    def start(self) -> Numbers: ...
-    def step(self, action: Numbers) -> tuple[float, Numbers, int]: ...
-    def cleanup(self) -> None: ...
-    def message(self, message: str) -> str | None: ...
-
-
 class Die(Exception):
     """Raised by a program to have its connection reset instead of an answer sent."""
 
 
-def serve_agent(agent: Agent, connection: Connection) -> None:
-    """Join as an agent and answer the server until it says goodbye, or until the agent dies.
+def play_agent(agent: Agent, connection: Connection) -> None:
+    """Join as an agent, and let one of ours answer the server until it says goodbye, or until the agent dies.
 
     Raises:
         Closed: the server closed the connection without a goodbye.
@@ -282,29 +264,33 @@ def serve_agent(agent: Agent, connection: Connection) -> None:
     def answer(message_id: int, payload: bytes) -> None:
         match message_id:
             case Id.AGENT_INIT:
-                agent.init(unpack_text(payload))
+                agent.agent_init(unpack_text(payload))
                 connection.send(message_id)
             case Id.AGENT_START:
-                connection.send(message_id, pack_numbers(agent.start(unpack_numbers(payload)[0])))
+                connection.send(
+                    message_id,
+                    pack_numbers(to_numbers(agent.agent_start(Observation(*unpack_numbers(payload)[0])))),
+                )
             case Id.AGENT_STEP:
                 (reward,) = struct.unpack_from(">d", payload)
-                connection.send(message_id, pack_numbers(agent.step(reward, unpack_numbers(payload, 8)[0])))
+                observation = Observation(*unpack_numbers(payload, 8)[0])
+                connection.send(message_id, pack_numbers(to_numbers(agent.agent_step(reward, observation))))
             case Id.AGENT_END:
-                agent.end(*struct.unpack_from(">d", payload))
+                agent.agent_end(*struct.unpack_from(">d", payload))
                 connection.send(message_id)
             case Id.AGENT_CLEANUP:
-                agent.cleanup()
+                agent.agent_cleanup()
                 connection.send(message_id)
             case Id.AGENT_MESSAGE:
-                connection.send_text(message_id, agent.message(unpack_text(payload)))
+                connection.send_text(message_id, agent.agent_message(unpack_text(payload)))
             case _:
                 raise AssertionError(f"the server sent an agent message {message_id}")
 
     _serve(Id.AGENT_CONNECTION, connection, answer)
 
 
-def serve_environment(environment: Environment, connection: Connection) -> None:
-    """Join as an environment and answer until the server says goodbye, or until it dies.
+def play_environment(environment: Environment, connection: Connection) -> None:
+    """Join as an environment, and let one of ours answer until the server says goodbye, or until it dies.
 
     Raises:
         Closed: the server closed the connection without a goodbye.
@@ -313,17 +299,19 @@ def serve_environment(environment: Environment, connection: Connection) -> None:
     def answer(message_id: int, payload: bytes) -> None:
         match message_id:
             case Id.ENV_INIT:
-                connection.send_text(message_id, environment.init())
+                connection.send_text(message_id, environment.env_init())
             case Id.ENV_START:
-                connection.send(message_id, pack_numbers(environment.start()))
+                connection.send(message_id, pack_numbers(to_numbers(environment.env_start())))
             case Id.ENV_STEP:
-                reward, observation, terminal = environment.step(unpack_numbers(payload)[0])
-                connection.send(message_id, struct.pack(">id", terminal, reward) + pack_numbers(observation))
+                action = Action(*unpack_numbers(payload)[0])
+                reward, observation, terminal, *_ = environment.env_step(action)
+                numbers = pack_numbers(to_numbers(observation))
+                connection.send(message_id, struct.pack(">id", terminal, reward) + numbers)
             case Id.ENV_CLEANUP:
-                environment.cleanup()
+                environment.env_cleanup()
                 connection.send(message_id)
             case Id.ENV_MESSAGE:
-                connection.send_text(message_id, environment.message(unpack_text(payload)))
+                connection.send_text(message_id, environment.env_message(unpack_text(payload)))
             case _:
                 raise AssertionError(f"the server sent an environment message {message_id}")
 

@@ -1,17 +1,10 @@
-"""A hub with ports for original programs, and adapters that make our programs look original.
-
-A program of a scenario of `tests.system.conformance` can be started from a shell:
-
-    python -m tests.system.legacy.legacy_rig agent test_1 4096 java
-"""
+"""A hub with ports for original programs, and our verbs over the connection of an original experiment."""
 
 from __future__ import annotations
 
-import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import Any
 
 import zmq
@@ -24,12 +17,18 @@ from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
 from glue.roles import Agent, Environment
-from glue.types import AbstractType, Action, Observation
+from glue.types import Action, Observation
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Value
-from tests.system.conformance import SCENARIOS
 from tests.system.legacy import legacy_client
-from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, Numbers, Style
+from tests.system.legacy.legacy_client import (
+    STYLES,
+    TIMEOUT,
+    Connection,
+    Style,
+    play_agent,
+    play_environment,
+)
 from tests.system.runs import wait_until
 
 C = STYLES["c"]
@@ -157,16 +156,18 @@ class Rig:
 @contextmanager
 def gateway(
     *sessions: str,
-    heartbeat: float = 0.5,
-    timeout: float = 5.0,
+    timeout: float = 60.0,
     max_body: int = MAX_BODY,
     max_memory: int = 2**30,
 ) -> Iterator[Rig]:
-    """Run a hub with a port for each session, or for `default`; all programs must end with the hub."""
+    """Run a hub with a port for each session, or for `default`; all programs must end with the hub.
+
+    Only a test that waits for the end of `timeout` sets it, and then no other program joins that hub.
+    """
     log = Log()
     with zmq.Context() as context:
         config = HubConfig(
-            ("tcp://127.0.0.1:*",), heartbeat, timeout, max_body=max_body, max_memory=max_memory
+            ("tcp://127.0.0.1:*",), min(0.2, timeout / 4), timeout, max_body=max_body, max_memory=max_memory
         )
         hub = Hub(config, log)
         ports = [LegacyPort(0, session) for session in (*(sessions or ("default",)), _ASIDE)]
@@ -176,76 +177,6 @@ def gateway(
                 yield rig
         finally:
             rig.join()
-
-
-def free_ports(count: int) -> list[int]:
-    """Return ports that are free."""
-    with ExitStack() as stack:
-        listeners = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [int(listener.getsockname()[1]) for listener in listeners]
-
-
-def to_numbers(value: AbstractType) -> Numbers:
-    """Convert one of our observations or actions to that of an original program."""
-    return Numbers(tuple(value.ints.tolist()), tuple(value.doubles.tolist()), value.chars)
-
-
-def play_agent(agent: Agent, connection: Connection) -> None:
-    """Serve an agent as an original program does."""
-    legacy_client.serve_agent(DisguisedAgent(agent), connection)
-
-
-def play_environment(environment: Environment, connection: Connection) -> None:
-    """Serve an environment as an original program does."""
-    legacy_client.serve_environment(DisguisedEnvironment(environment), connection)
-
-
-class DisguisedAgent:
-    """One of our agents, as an original program."""
-
-    def __init__(self, agent: Agent) -> None:
-        self._agent = agent
-
-    def init(self, task_spec: str) -> None:
-        self._agent.agent_init(task_spec)
-
-    def start(self, observation: Numbers) -> Numbers:
-        return to_numbers(self._agent.agent_start(Observation(*observation)))
-
-    def step(self, reward: float, observation: Numbers) -> Numbers:
-        return to_numbers(self._agent.agent_step(reward, Observation(*observation)))
-
-    def end(self, reward: float) -> None:
-        self._agent.agent_end(reward)
-
-    def cleanup(self) -> None:
-        self._agent.agent_cleanup()
-
-    def message(self, message: str) -> str:
-        return self._agent.agent_message(message)
-
-
-class DisguisedEnvironment:
-    """One of our environments, as an original program."""
-
-    def __init__(self, environment: Environment) -> None:
-        self._environment = environment
-
-    def init(self) -> str:
-        return self._environment.env_init()
-
-    def start(self) -> Numbers:
-        return to_numbers(self._environment.env_start())
-
-    def step(self, action: Numbers) -> tuple[float, Numbers, int]:
-        reward, observation, terminal, *_ = self._environment.env_step(Action(*action))
-        return reward, to_numbers(observation), int(terminal)
-
-    def cleanup(self) -> None:
-        self._environment.env_cleanup()
-
-    def message(self, message: str) -> str:
-        return self._environment.env_message(message)
 
 
 class DisguisedExperiment(Experiment):
@@ -286,20 +217,3 @@ class DisguisedExperiment(Experiment):
                 glue.cleanup()
                 return (), None
         raise AssertionError(f"an original experiment has no {kind.name}")
-
-
-def main(role: str, scenario: str, port: str, style: str) -> None:
-    connection = Connection(int(port), STYLES[style])
-    chosen = SCENARIOS[scenario]
-    if role == "agent":
-        play_agent(chosen.agent(), connection)
-    elif role == "environment":
-        play_environment(chosen.environment(), connection)
-    else:
-        with DisguisedExperiment(legacy_client.Experiment(connection)) as glue:
-            chosen.run(glue)
-        print(f"{scenario} passed")
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

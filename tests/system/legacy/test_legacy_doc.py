@@ -18,16 +18,17 @@ from glue.legacy.experiment import READ_AHEAD
 from glue.roles import Agent
 from glue.types import Action, Observation
 from tests.pages import DOCS, section
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.players import ScriptedEnvironment
 from tests.system.conformance import MirrorAgent
-from tests.system.legacy.legacy_client import STYLES, Connection, Id
-from tests.system.legacy.legacy_rig import free_ports, gateway, play_agent
+from tests.system.legacy.legacy_client import STYLES, Connection, Id, play_agent
+from tests.system.legacy.legacy_rig import gateway
 from tests.terminal import Terminal
 
 TEXT = (DOCS / "legacy.md").read_text(encoding="utf-8")
 COMMANDS: dict[str, click.Command] = {"glue-hub": hub, "glue-experiment": experiment}
 TIME = r"[\d-]+ [\d:]+"
 NUMBER = r"\d+"
+BIND = ("--bind", "tcp://127.0.0.1:*")
 EXAMPLES = re.findall(r"^    (?:\$ )?(glue-.*)$", TEXT, re.MULTILINE)
 
 
@@ -66,7 +67,7 @@ def test_the_refused_ids_are_none_of_ours() -> None:
 
 def anonymous(line: str) -> str:
     """Return a line of the log with the client's port replaced by that of the document."""
-    return re.sub(r"127\.0\.0\.1:\d+ \(", "127.0.0.1:41360 (", line)
+    return re.sub(r"127\.0\.0\.1:\d+\)", "127.0.0.1:41360)", line)
 
 
 def test_the_log_looks_as_shown() -> None:
@@ -99,41 +100,27 @@ class Runner(Agent):
 @pytest.mark.stage("docs")
 def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
     text = section(TEXT, "An example: an original agent on our Mario")
-    first, second, alone = re.findall(r"^    \$ (glue-.*)$", text, re.MULTILINE)
-    ours, default, b = free_ports(3)
-    here = {"4097": ours, "4096": default, "5096": b}
-
-    def local(shown: str) -> str:
-        return re.sub("4097|4096|5096", lambda match: str(here[match[0]]), shown)
-
-    hub = Terminal(*shlex.split(local(first)), "--bind", f"tcp://127.0.0.1:{ours}", cwd=tmp_path)
+    first, second, alone = (
+        re.sub("4096|5096", "*", command) for command in re.findall(r"^    \$ (glue-.*)$", text, re.MULTILINE)
+    )
+    hub = Terminal(*shlex.split(first), *BIND, cwd=tmp_path)
     with closing(hub):
-        for line in re.findall(r"^    (listening .*)$", text, re.MULTILINE):
-            hub.wait_for(f"^{re.escape(local(line))}$")
-        with closing(Terminal(*shlex.split(local(second)), cwd=tmp_path)) as experiment:
-            play_agent(Runner(), Connection(b, STYLES["java"], timeout=COMPILATION))
+        found = [
+            hub.wait_for("^" + re.sub("4096|5096", r"(\\d+)", re.escape(line)) + "$")
+            for line in re.findall(r"^    (listening .*)$", text, re.MULTILINE)
+        ]
+        address = hub.wait_for(r"listening on (tcp://\S+)")[1]
+        second = second.replace("tcp://127.0.0.1:4097", address)
+        with closing(Terminal(*shlex.split(second), cwd=tmp_path)) as experiment:
+            play_agent(Runner(), Connection(int(found[1][1]), STYLES["java"], timeout=COMPILATION))
             assert experiment.end() == 0
             experiment.wait_for(r"/mario/0 .* 3/3 ")
         for line in re.findall(rf"^    {TIME} (session .*)$", text, re.MULTILINE):
             hub.wait_for(rf"^{TIME} {re.escape(line).replace('41360', NUMBER)}")
-    options = ["--bind", "tcp://127.0.0.1:*", "--out", "alone"]
-    with closing(Terminal(*shlex.split(local(alone)), *options, cwd=tmp_path)) as experiment:
-        experiment.wait_for(f"127.0.0.1:{default}")
-        play_agent(Runner(), Connection(default, STYLES["c"]))
+    with closing(Terminal(*shlex.split(alone), *BIND, "--out", "alone", cwd=tmp_path)) as experiment:
+        port = int(experiment.wait_for(r"programs .*on 127\.0\.0\.1:(\d+)")[1])
+        play_agent(Runner(), Connection(port, STYLES["c"]))
         assert experiment.end() == 0
-
-
-def test_each_trial_takes_another_original_agent_and_goes_on_without_a_seed_for_it(tmp_path: Path) -> None:
-    (port,) = free_ports(1)
-    options = f"--env skeleton --episodes 2 --max-steps 1 --trials 2 --seed 7 --legacy-port {port}"
-    arguments = [*options.split(), "--bind", "tcp://127.0.0.1:*", "--json", "--out", "run"]
-    with closing(Terminal("glue-experiment", *arguments, cwd=tmp_path)) as experiment:
-        for _ in range(2):
-            agent = ScriptedAgent()
-            play_agent(agent, Connection(port, STYLES["python"]))
-            # Truncated after its first step, an episode ends without a call.
-            assert [call.split()[0] for call in agent.calls[1:-1]] == ["agent_start"] * 2
-        assert experiment.end() == 0, experiment.lines
 
 
 def test_an_original_experiment_and_environment_are_shown_no_terminal_after_a_truncation() -> None:

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.proof import size
 from tests.system.conformance import FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_client import Connection, Id, Numbers, pack_numbers
 from tests.system.legacy.legacy_rig import Rig, gateway
@@ -21,7 +22,7 @@ TEXT = struct.pack(">I", 2) + b"hi"
 
 unhurried = settings(
     deadline=None,
-    max_examples=30,
+    max_examples=size(3, 200),
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 
@@ -67,8 +68,7 @@ class Arena:
 
 @pytest.fixture(scope="module")
 def arena() -> Iterator[Arena]:
-    # A program that closes its sending half may wait for replies as long as the hub's timeout.
-    with gateway("default", ATTACKED, *FLOODS, heartbeat=0.2, timeout=1.0) as rig:
+    with gateway("default", ATTACKED, *FLOODS) as rig:
         arena = Arena(rig)
         yield arena
         arena.close()

@@ -19,11 +19,9 @@ from tests.system.conformance import (
     SCENARIOS,
     FiveStepEnvironment,
     MirrorAgent,
-    Scenario,
     Seen,
-    fill,
 )
-from tests.system.legacy.legacy_client import STYLES, Connection, Id, Numbers, pack_numbers
+from tests.system.legacy.legacy_client import STYLES, Id, Numbers, pack_numbers
 from tests.system.legacy.legacy_rig import Rig, gateway
 
 LANGUAGES = ("c", "java", "python")
@@ -47,78 +45,48 @@ def run_case(rig: Rig, case: str, agent: str, environment: str, experiment: str)
     rig.join()
 
 
-@pytest.mark.parametrize("case", CHECKED)
 @pytest.mark.parametrize("style", STYLES)
-def test_a_case_of_the_original_suites_passes_in_every_style(rig: Rig, style: str, case: str) -> None:
-    run_case(rig, case, style, style, style)
+def test_the_cases_of_the_original_suites_pass_in_every_style(rig: Rig, style: str) -> None:
+    for case in CHECKED:
+        run_case(rig, case, style, style, style)
 
 
-@pytest.mark.parametrize("case", ["test_sanity", "test_1", "test_empty", "test_message", "test_rl_episode"])
-def test_a_case_passes_in_all_mixtures_of_languages(rig: Rig, case: str) -> None:
+def test_a_case_passes_in_all_mixtures_of_languages(rig: Rig) -> None:
     for styles in itertools.product(LANGUAGES, repeat=3):
-        run_case(rig, case, *styles)
-
-
-class LargeEnvironment(FiveStepEnvironment):
-    """An environment that shows 50 000 ints and doubles."""
-
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        return 1.0, Observation.from_body(fill(50_000, 50_000, 0)), False
-
-
-def test_large_observations_arrive_whole(rig: Rig) -> None:
-    rig.agent(MirrorAgent())
-    rig.environment(LargeEnvironment())
-    glue = rig.experiment()
-    assert (glue.episode(20), glue.num_steps()) == (0, 20)
-    glue.start()
-    _, observation, _, action = glue.step()
-    assert observation == action
-    assert observation.counts == (50_000, 50_000, 0)
-    glue.close()
+        run_case(rig, "test_1", *styles)
 
 
 def learn(glue: Experiment) -> Seen:
     """Let an agent learn; its actions depend on every number that it was ever shown."""
     glue.rl_init()
     seen: Seen = []
-    for _ in range(40):
+    for _ in range(10):
         seen += [glue.rl_episode(200), glue.rl_num_steps(), glue.rl_return()]
     glue.rl_cleanup()
     return seen
 
 
-MIXED = {
-    **{name: SCENARIOS[name] for name in SCENARIOS.keys() - {"test_speed", "skeleton"}},
-    "learning": Scenario(
-        lambda: SarsaAgent(seed=1), lambda: MinesEnvironment(random_start=True, seed=2), learn
-    ),
-}
-"""Scenarios without a seed from the experiment, which does not reach original programs."""
-
-
-@pytest.mark.parametrize("name", sorted(MIXED))
 @pytest.mark.parametrize("originals", range(8), ids=lambda bits: f"{bits:03b}")
-def test_a_mixture_of_ours_and_originals_gives_the_numbers_of_ours(
-    rig: Rig, originals: int, name: str
-) -> None:
-    scenario = MIXED[name]
+def test_a_mixture_of_ours_and_originals_gives_the_numbers_of_ours(rig: Rig, originals: int) -> None:
+    # Without a seed from the experiment, which does not reach original programs.
+    agents = [SarsaAgent(seed=1) for _ in range(2)]
+    environments = [MinesEnvironment(random_start=True, seed=2) for _ in range(2)]
     if originals & 1:
-        rig.agent(scenario.agent(), STYLES["java"])
+        rig.agent(agents[0], STYLES["java"])
     else:
-        rig.native_agent(scenario.agent())
+        rig.native_agent(agents[0])
     if originals & 2:
-        rig.environment(scenario.environment(), STYLES["python"])
+        rig.environment(environments[0], STYLES["python"])
     else:
-        rig.native_environment(scenario.environment())
+        rig.native_environment(environments[0])
     with rig.disguised() if originals & 4 else rig.native() as glue:
-        seen = scenario.run(glue)
-    with local(scenario.agent(), scenario.environment()) as glue:
-        assert seen == scenario.run(glue)
+        seen = learn(glue)
+    with local(agents[1], environments[1]) as glue:
+        assert seen == learn(glue)
 
 
 def test_one_hub_serves_a_session_for_each_port() -> None:
-    sessions = [f"s{number}" for number in range(8)]
+    sessions = [f"s{number}" for number in range(4)]
     with gateway(*sessions) as rig:
         glues = []
         for session in sessions:
@@ -131,7 +99,7 @@ def test_one_hub_serves_a_session_for_each_port() -> None:
             assert glue.connection.receive()[0] == Id.RL_INIT
             glue.episode(limit)
             glue.env_message("interleaved")
-        assert [glue.num_steps() for glue in glues] == [5, 1, 2, 3, 4, 5, 5, 5]
+        assert [glue.num_steps() for glue in glues] == [5, 1, 2, 3]
         for glue in glues:
             glue.close()
         rig.join()
@@ -162,7 +130,7 @@ def test_pipelined_requests_are_answered_in_their_order(rig: Rig) -> None:
     rig.agent(MirrorAgent())
     rig.environment(FiveStepEnvironment())
     glue = rig.connect()
-    count = 300
+    count = 30
     steps = ask(*[Id.RL_STEP, Id.RL_NUM_STEPS] * count)
     glue.send_raw(ask(Id.EXPERIMENT_CONNECTION, Id.RL_INIT, Id.RL_START) + steps + ask(Id.RL_CLEANUP))
     asked = [Id.RL_INIT, Id.RL_START, *[Id.RL_STEP, Id.RL_NUM_STEPS] * count, Id.RL_CLEANUP]
@@ -263,18 +231,6 @@ def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> No
     assert calls == ["agent_init sample task spec"] * 2
 
 
-def player(rig: Rig, role: Id, payload: bytes = b"") -> Connection:
-    """Return an original player that a test drives by hand."""
-    connection = rig.connect(STYLES["python"])
-    connection.send(role, payload)
-    return connection
-
-
-def step_reply(terminal: int, observation: Numbers) -> bytes:
-    """Return the payload of an environment's answer to a step; the reward is 1."""
-    return struct.pack(">id", terminal, 1.0) + pack_numbers(observation)
-
-
 def test_the_very_first_step_shows_no_action_if_it_is_terminal_and_later_ones_the_last(rig: Rig) -> None:
     rig.native_agent(ScriptedAgent())
     rig.native_environment(ScriptedEnvironment(length=1))
@@ -317,59 +273,14 @@ def test_a_later_terminal_step_shows_the_last_action(rig: Rig) -> None:
     glue.close()
 
 
-@pytest.mark.parametrize("terminal", [2, -1, 256])
-def test_any_terminal_but_zero_is_a_one(rig: Rig, terminal: int) -> None:
-    calls: list[str] = []
-    rig.native_agent(ScriptedAgent(calls))
-    environment = player(rig, Id.ENVIRONMENT_CONNECTION)
-    glue = rig.experiment()
-    glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
-    assert environment.receive() == (Id.ENV_START, b"")
-    environment.send(Id.ENV_START, EMPTY)
-    assert environment.receive()[0] == Id.ENV_STEP
-    environment.send(Id.ENV_STEP, step_reply(terminal, Numbers()))
-    assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
-    assert glue.num_episodes() == 1
-    assert calls == ["agent_start []", "agent_end 1"]
-    glue.close()
-    environment.close()
-
-
-def test_surplus_bytes_are_ignored_everywhere(rig: Rig) -> None:
-    agent = player(rig, Id.AGENT_CONNECTION, b"RL-Glue 9")
-    rig.native_environment(ScriptedEnvironment())
-    glue = rig.experiment()
-    glue.connection.send(Id.RL_START, b"please")
-    assert agent.receive() == (Id.AGENT_START, pack_numbers(Numbers((0,))))
-    agent.send(Id.AGENT_START, pack_numbers(Numbers((7,))) + b"surplus")
-    both = pack_numbers(Numbers((0,))) + pack_numbers(Numbers((7,)))
-    assert glue.connection.receive() == (Id.RL_START, both)
-    glue.close()
-    assert agent.receive() == (Id.RL_TERM, b"")
-    agent.close()
-
-
-def test_a_zero_byte_ends_a_text_in_both_directions(rig: Rig) -> None:
-    agent = player(rig, Id.AGENT_CONNECTION)
-    glue = rig.experiment()
-    glue.connection.send_text(Id.RL_AGENT_MESSAGE, "one\0two")
-    assert agent.receive() == (Id.AGENT_MESSAGE, struct.pack(">I", 3) + b"one")
-    agent.send_text(Id.AGENT_MESSAGE, "three\0four")
-    assert glue.connection.receive() == (Id.RL_AGENT_MESSAGE, struct.pack(">I", 5) + b"three")
-    glue.close()
-    agent.close()
-
-
-@pytest.mark.parametrize("text", ["é", "grüße", "日本語", "🎲🎲", "x\u00e9"])
-@pytest.mark.parametrize("style", ["c", "java", "python"])
-def test_a_text_beyond_ascii_survives_every_way(rig: Rig, style: str, text: str) -> None:
+@pytest.mark.parametrize("style", LANGUAGES)
+def test_a_text_beyond_ascii_survives_every_way(rig: Rig, style: str) -> None:
     rig.agent(SCENARIOS["test_message"].agent(), STYLES[style])
     rig.environment(SCENARIOS["test_message"].environment(), STYLES[style])
     glue = rig.experiment(STYLES[style])
     glue.init()
-    assert glue.agent_message(text) == text
-    assert glue.env_message(text) == text
-    assert glue.agent_message("1") == "1"
+    for text in ("é", "grüße", "日本語", "🎲🎲", "1"):
+        assert glue.agent_message(text) == glue.env_message(text) == text
     glue.close()
 
 

@@ -13,7 +13,7 @@ from glue.hub.sessions import Switchboard
 from glue.wire.messages import Message, Role
 from tests.scripted.hub import ScriptedHub
 
-_CONFIG: Final = HubConfig(heartbeat=0.1, timeout=60.0)
+_CONFIG: Final = HubConfig(heartbeat=0.1, timeout=60.0, greeting=60.0)
 
 
 class _Route:

@@ -44,7 +44,7 @@ def together(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def test_answers_sent_together_have_the_same_returns(
     together: list[int], cuts: int, piece: int, episodes: int
 ) -> None:
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), greeting=60.0))
     port = int(hub.endpoints[0].rpartition(":")[2])
     agents = {str(i): RandomAgent(seed=i) for i in range(SESSIONS)}
     environments = {str(i): SkeletonEnvironment() for i in range(SESSIONS)}

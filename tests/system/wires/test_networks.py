@@ -63,7 +63,11 @@ def run(
 ) -> Iterator[RemoteExperiment]:
     """A hub and an environment on the near host, and an agent on the far one."""
     with hosts.near():
-        hub = Hub(HubConfig(bind=(f"tcp://{NEAR}:*",), heartbeat=HEARTBEAT, timeout=timeout, insecure=True))
+        hub = Hub(
+            HubConfig(
+                bind=(f"tcp://{NEAR}:*",), heartbeat=HEARTBEAT, timeout=timeout, greeting=60.0, insecure=True
+            )
+        )
         near = hub.endpoints[0]
     local_hub = InsideTransport(hub)
     with hub.in_background(), ExitStack() as ending:

@@ -41,7 +41,7 @@ def zeromq_js(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("transport", ["tcp", "ipc"])
 def test_a_dealer_of_zeromq_js_plays_with_the_hub(zeromq_js: Path, transport: str, tmp_path: Path) -> None:
     url = "tcp://127.0.0.1:*" if transport == "tcp" else f"ipc://{tmp_path}/hub"
-    hub = Hub(HubConfig(bind=(url,), heartbeat=0.2))
+    hub = Hub(HubConfig(bind=(url,), heartbeat=0.2, greeting=60.0))
     (url,) = hub.endpoints
     with hub.in_background():
         environment = threading.Thread(target=serve_environment, args=(SkeletonEnvironment(), url))

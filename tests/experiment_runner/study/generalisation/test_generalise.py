@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from env_server.mario import InfiniteMario
-from env_server.mario.level_sets import LEVEL_SETS, LevelSet, level_seed, resolve_levels
+from env_server.mario.level_sets import LEVEL_SETS, LevelSet, resolve_levels
 from experiment_runner.cli.generalise import generalise
 from experiment_runner.store.database import StorageError
 from experiment_runner.study.generalisation.players import LAST_REWARD, NumberedLevels, SetBack, level_set
@@ -66,19 +66,6 @@ def test_first_levels_of_a_set() -> None:
     for wrong in ("test-1000:0", "test-1000:1001", "test-1000:-1", "test-1000:", "test-1000:x"):
         with pytest.raises(ConfigError):
             level_set(wrong)
-
-
-@pytest.mark.parametrize("name", ["train-500", "test-1000"])
-def test_levels_of_a_set_have_seeds_of_their_own(name: str) -> None:
-    numbers = LEVEL_SETS[name].numbers
-    assert len({level_seed(number) for number in numbers}) == len(numbers)
-
-
-def test_neighbouring_levels_have_seeds_far_apart() -> None:
-    seeds = np.array([level_seed(number) for number in range(1000)])
-    assert abs(np.corrcoef(seeds[1:], seeds[:-1])[0, 1]) < 0.1
-    assert np.abs(np.diff(seeds)).min() > 1000
-    assert abs(seeds.mean() / 2**30 - 1) < 0.1
 
 
 class Learner(Agent):

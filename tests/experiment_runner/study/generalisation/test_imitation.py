@@ -9,7 +9,9 @@ import pytest
 
 from agents.network.weights import load, preferences
 
-pytest.importorskip("torch", reason="needs the extra torch", exc_type=ImportError)
+pytest.importorskip(
+    "torch", reason="it learns with PyTorch: pip install 'glue-rl[torch]'", exc_type=ImportError
+)
 
 from experiment_runner.study.generalisation.imitation import Player, States, learn
 

@@ -1,0 +1,218 @@
+"""A session's account of its memory is true after every message: by what its objects weigh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from glue.hub.config import HubConfig
+from glue.types import Action, Observation
+from glue.wire.limits import MAX_NAME
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, THREE_ROLES, Kind, Role
+from tests.glue.hub.test_sessions import Rig, instance
+from tests.weighing import check_board, size_of
+
+HEAVY = 500_000
+
+
+class Weighed(Rig):
+    """A rig that weighs its sessions after every message; all bodies are heavy unless said otherwise."""
+
+    def __init__(self) -> None:
+        super().__init__(HubConfig(timeout=5.0))
+        self.size = HEAVY
+        self.requests = 0
+        self.fill()
+
+    def put(self, route: str, *message: Any, **more: Any) -> None:
+        super().put(route, *message, **more)
+        check_board(self.board)
+
+    def text(self) -> bytes:
+        return bytes(self.size)
+
+    def observation(self) -> bytes:
+        return Observation(chars=bytes(self.size - 16)).body
+
+    def action(self) -> bytes:
+        return Action(chars=bytes(self.size - 16)).body
+
+    def request(self, kind: Kind, *scalars: Any, body: bytes = b"") -> None:
+        """Let the experiment make a request."""
+        self.requests += 1
+        self.put("x", kind, self.requests, *scalars, body=body)
+
+    def reply(self, route: str, *scalars: Any, body: bytes = b"") -> Kind:
+        """Let a player answer its call; return the kind."""
+        *_, call = [message for message in self.received(route) if message.kind in CALLS]
+        self.put(route, call.kind, call.seq, *scalars, body=body)
+        return call.kind
+
+    def init(self) -> None:
+        self.request(Kind.RL_INIT, None)
+        self.reply("e", body=self.text())
+        self.reply("a")
+
+    def replace(self, route: str, role: Role) -> None:
+        """Let another player take a role."""
+        self.put(route, Kind.GOODBYE, 0, "enough")
+        self.hello(route, role, who=f"another {route}")
+
+    def step(self, terminal: int = False) -> None:
+        """Let the environment answer a step."""
+        assert self.reply("e", 1.0, terminal, body=self.observation()) is Kind.ENV_STEP
+
+    @property
+    def held(self) -> int:
+        """What the only session accounts for, in bodies."""
+        return sum(self.board.memory.held.values()) // HEAVY
+
+
+def start(rig: Weighed) -> None:
+    rig.init()
+    rig.request(Kind.RL_START)
+    rig.reply("e", body=rig.observation())
+    rig.reply("a", body=rig.action())
+
+
+def an_episode(rig: Weighed) -> int:
+    rig.init()
+    rig.request(Kind.RL_EPISODE, 0)
+    rig.reply("e", body=rig.observation())
+    for _ in range(3):
+        rig.reply("a", body=rig.action())
+        rig.step()
+    rig.reply("a", body=rig.action())
+    rig.step(terminal=True)
+    return 3  # the task spec, the action, and the observation that came with the end
+
+
+def a_step_that_ends_the_episode(rig: Weighed) -> int:
+    start(rig)
+    rig.request(Kind.RL_STEP)
+    rig.step(terminal=True)
+    return 3  # the task spec, the action, and the observation for the reply
+
+
+def the_reply_to_a_step(rig: Weighed) -> int:
+    start(rig)
+    rig.request(Kind.RL_STEP)
+    rig.step()
+    rig.reply("a", body=rig.action())
+    return 4  # the task spec, the action, and the reply of two bodies
+
+
+def an_observation_for_a_new_agent(rig: Weighed) -> int:
+    rig.init()
+    rig.replace("a", Role.AGENT)
+    rig.request(Kind.RL_START)
+    rig.reply("e", body=rig.observation())
+    return 2
+
+
+def an_episode_with_a_new_agent(rig: Weighed) -> int:
+    rig.init()
+    rig.replace("a", Role.AGENT)
+    rig.request(Kind.RL_EPISODE, 0)
+    rig.reply("e", body=rig.observation())
+    rig.reply("a")
+    for _ in range(3):
+        rig.reply("a", body=rig.action())
+        rig.step()
+    return 3
+
+
+def a_message_for_a_new_agent(rig: Weighed) -> int:
+    rig.init()
+    rig.replace("a", Role.AGENT)
+    rig.request(Kind.RL_AGENT_MESSAGE, body=rig.text())
+    return 2
+
+
+def an_action_for_a_new_environment(rig: Weighed) -> int:
+    rig.init()
+    rig.replace("e", Role.ENVIRONMENT)
+    rig.request(Kind.RL_ENV_STEP, body=rig.action())
+    return 2
+
+
+def a_new_environment_with_another_task(rig: Weighed) -> int:
+    start(rig)
+    rig.request(Kind.RL_CLEANUP)
+    rig.reply("e")
+    rig.reply("a")
+    rig.replace("e", Role.ENVIRONMENT)
+    rig.request(Kind.RL_EPISODE, 0)
+    rig.reply("e", body=rig.text()[1:] + b"!")
+    rig.reply("e", body=rig.observation())
+    rig.reply("a")
+    rig.reply("a", body=rig.action())
+    return 3
+
+
+def an_episode_that_becomes_light(rig: Weighed) -> int:
+    start(rig)
+    rig.size = 20
+    start(rig)
+    return 0
+
+
+def a_void_episode(rig: Weighed) -> int:
+    start(rig)
+    rig.request(Kind.RL_STEP)
+    rig.put("a", Kind.GOODBYE, 0, "enough")
+    return 2
+
+
+def an_experiment_that_left(rig: Weighed) -> int:
+    start(rig)
+    rig.request(Kind.RL_STEP)
+    rig.put("x", Kind.GOODBYE, 0, "enough")
+    return 0
+
+
+def a_session_that_all_have_left(rig: Weighed) -> int:
+    start(rig)
+    for route in ("x", "e", "a"):
+        rig.put(route, Kind.GOODBYE, 0, "enough")
+    assert rig.board.memory.total == 0
+    return 0
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        an_episode,
+        a_step_that_ends_the_episode,
+        the_reply_to_a_step,
+        an_observation_for_a_new_agent,
+        an_episode_with_a_new_agent,
+        a_message_for_a_new_agent,
+        an_action_for_a_new_environment,
+        a_new_environment_with_another_task,
+        an_episode_that_becomes_light,
+        a_void_episode,
+        an_experiment_that_left,
+        a_session_that_all_have_left,
+    ],
+    ids=lambda scene: scene.__name__,
+)
+def test_a_session_accounts_for_the_bodies_that_it_keeps(scene: Callable[[Weighed], int]) -> None:
+    rig = Weighed()
+    assert scene(rig) == rig.held
+
+
+def test_a_session_with_the_longest_names_weighs_no_more_than_its_fixed_part() -> None:
+    wide = "\N{GRINNING FACE}" * MAX_NAME
+    rig = Rig(HubConfig())
+    for role in THREE_ROLES:
+        scalars = ((PROTOCOL_VERSION,), role, instance(role), wide, wide, ("seed", "save", "x" * 500))
+        rig.put(role, Kind.HELLO, 0, *scalars, session=wide)
+    for _ in range(2):
+        rig.put("experiment", Kind.RL_EPISODE, 1, 0, session=wide)
+        for player in (Role.AGENT, Role.ENVIRONMENT):
+            rig.put(player, Kind.GOODBYE, 0, "x" * 3000, session=wide)
+        check_board(rig.board)
+    assert size_of(rig.board._sessions.values()) > 8000
