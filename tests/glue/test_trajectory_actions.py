@@ -81,6 +81,7 @@ def test_round_trip(recorded: list[tuple[Steps, Ending]], tmp_path_factory: pyte
         ]
 
 
+@pytest.mark.stage("attacks")
 def test_a_long_episode_has_several_blocks(tmp_path: Path) -> None:
     steps: Steps = [(Action([i]), float(i)) for i in range(2 * limits.MAX_BLOCK + 5)]
     long, short = TrajectoryReader(
