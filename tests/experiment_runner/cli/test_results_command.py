@@ -514,7 +514,7 @@ def test_table_of_a_paper_is_in_latex_or_markdown(run: Path) -> None:
 def test_comparison_of_few_trials_says_so(run: Path, tmp_path: Path) -> None:
     other = make(tmp_path / "other", [4, 4, 4, 4])
     *_, last, note = call("compare", run, other).splitlines()
-    assert " 1 (!) " in last
+    assert " 1 (!) " in last  # of the two, one is not finished
     assert note == "((!) fewer than 5 trials: their intervals are too narrow)"
 
 
