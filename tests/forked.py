@@ -23,7 +23,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.meeting import children
+from experiment_runner.meeting import children, warm
 
 BIN: Final = Path(sys.executable).parent
 
@@ -209,7 +209,7 @@ def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Se
     # Python reads the variable only at start-up.
     sys.path[:0] = filter(None, env.get("PYTHONPATH", "").split(os.pathsep))
     os.chdir(cwd)
-    vars(children)["spawn"] = _Child
+    vars(children)["spawn"] = vars(warm)["spawn"] = _Child
     sys.argv = [str(BIN / command[0]), *command[1:]]
     runpy.run_path(sys.argv[0], run_name="__main__")
     return 0
