@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import select
 import signal
@@ -33,6 +34,7 @@ _CASES: Final = {
     "a message without an end": ("endless", (4,)),
     "heartbeats from a seat": ("heartbeats", (1,)),
     "connections opened and closed": ("connects", (1,)),
+    "requests that need no player": ("requests", (12,)),
 }
 
 
@@ -95,7 +97,7 @@ def _hub() -> Iterator[str]:
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     try:
-        yield process.stderr.readline().split()[-1]
+        yield process.stderr.readline().partition("listening on ")[2].split()[0].removesuffix(":")
     finally:
         process.kill()
         process.wait()
@@ -136,13 +138,21 @@ def _attack(attack: str, url: str, number: int) -> None:
         with suppress(OSError):
             socket.create_connection(address).close()
     connections: list[socket.socket] = []
+    sessions = (f"{session}" for session in itertools.count(1))
+    floods: dict[socket.socket, Iterator[bytes]] = {}
+    left: dict[socket.socket, bytes] = {}
     while True:
         while len(connections) < number:
-            connections.append(_connect(address, attack))
+            session = next(sessions)
+            connection = _connect(address, attack, session)
+            connections.append(connection)
+            floods[connection], left[connection] = _flood(attack, session), b""
         _, writable, _ = select.select([], connections, [])
         for connection in writable:
+            data = left[connection] or next(floods[connection])
             try:
-                connection.send(_FLOODS[attack] * _CHUNK)
+                left[connection] = data
+                left[connection] = data[connection.send(data) :]
                 with suppress(BlockingIOError):
                     connection.recv(65_536)
             except BlockingIOError:
@@ -152,19 +162,24 @@ def _attack(attack: str, url: str, number: int) -> None:
                 connections.remove(connection)
 
 
-_FLOODS: Final = {
-    "malformed": _MALFORMED,
-    "endless": _ENDLESS,
-    "heartbeats": zmtp.encode(encode(Message(Kind.HEARTBEAT, "1", 1), TO_HUB)),
-}
+def _flood(attack: str, session: str) -> Iterator[bytes]:
+    """Yield what is sent over a connection, without end."""
+    if attack != "requests":
+        heartbeat = zmtp.encode(encode(Message(Kind.HEARTBEAT, session, 1), TO_HUB))
+        one = {"malformed": _MALFORMED, "endless": _ENDLESS}.get(attack, heartbeat)
+        yield from itertools.repeat(one * _CHUNK)
+    for seq in itertools.count(1, _CHUNK):
+        requests = (Message(Kind.RL_NUM_EPISODES, session, seq + number) for number in range(_CHUNK))
+        yield b"".join(zmtp.encode(encode(request, TO_HUB)) for request in requests)
 
 
-def _connect(address: tuple[str, int], attack: str) -> socket.socket:
+def _connect(address: tuple[str, int], attack: str, session: str) -> socket.socket:
     connection = socket.create_connection(address)
     connection.sendall(zmtp.GREETING + _READY)
-    if attack == "heartbeats":
-        scalars = ((PROTOCOL_VERSION,), "agent", os.urandom(INSTANCE_SIZE), "attacker", "benchmark", ())
-        connection.sendall(zmtp.encode(encode(Message(Kind.HELLO, "1", 0, scalars), TO_HUB)))
+    role = {"heartbeats": "agent", "requests": "experiment"}.get(attack)
+    if role is not None:
+        scalars = ((PROTOCOL_VERSION,), role, os.urandom(INSTANCE_SIZE), "attacker", "benchmark", ())
+        connection.sendall(zmtp.encode(encode(Message(Kind.HELLO, session, 0, scalars), TO_HUB)))
     connection.setblocking(False)
     return connection
 

@@ -72,7 +72,7 @@ def check_board(board: Switchboard, connections: Iterable[Any] = ()) -> None:
             truth -= len(holder.connection._glanced)  # it has just been read, and is acted on at once
         assert truth <= held, f"{holder} weighs {truth} bytes and accounts for {held}"
         spare = session._BASE if isinstance(holder, Session) else _SPARE + len(its) * channels._SEAT
-        assert held <= truth + spare, f"{holder} accounts for {held} bytes and weighs {truth}"
+        assert held <= truth * 9 // 8 + spare, f"{holder} accounts for {held} bytes and weighs {truth}"
     assert board.memory.total == sum(account.values())
     gone = [holder for holder in account if holder not in found]
     assert not gone, f"the hub accounts for {gone}, which it does not have"

@@ -7,9 +7,6 @@ from typing import Final, Protocol
 _SMALL: Final = 65_536
 """Bytes that a connection may hold before it joins a session without being evicted before others."""
 
-_SPARE_PART: Final = 16
-"""One part in so many of the limit is left for what the hub uses while it acts on a message."""
-
 
 class Holder(Protocol):
     """Something that uses memory: a connection, or a session."""
@@ -39,7 +36,6 @@ class Memory:
     def __init__(self, limit: int) -> None:
         self.exceeded: bool = False
         self._limit = limit
-        self._usable = limit - limit // _SPARE_PART
         self.total: int = 0
         self.held: dict[Holder, int] = {}
 
@@ -48,11 +44,11 @@ class Memory:
         self.total += size - self.held.pop(holder, 0)
         if size:
             self.held[holder] = size
-        self.exceeded = self.total > self._usable
+        self.exceeded = self.total > self._limit
 
     def has_room(self, size: int) -> bool:
         """Return whether `size` more bytes are within the limit."""
-        return self.total + size <= self._usable
+        return self.total + size <= self._limit
 
     def relieve(self) -> None:
         """Evict the largest holders until the total is within the limit; callers must not use them again."""

@@ -137,7 +137,7 @@ class _Channel:
 
     def _weigh(self) -> None:
         """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
-        held = self._stream.buffered + self.connection.unsent
+        held = (self._stream.buffered + self.connection.unsent) * 9 // 8  # buffers grow by an eighth
         if held != self._held:
             self._held = held
             self.account()

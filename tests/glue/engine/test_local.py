@@ -202,20 +202,3 @@ def test_saving_what_cannot_be_saved_is_unsupported() -> None:
     with pytest.raises(Unsupported, match=r"environment ScriptedEnvironment .* no env_load"):
         glue.rl_env_load(b"")
     assert glue.rl_init() == "a task"
-
-
-def test_save_and_load_pass_bytes_through() -> None:
-    class Saved(ScriptedAgent):
-        data = b"\0learned\xff"
-
-        def agent_save(self) -> bytes:
-            return self.data
-
-        def agent_load(self, data: bytes) -> None:
-            self.data = data
-
-    agent = Saved()
-    glue = local(agent, ScriptedEnvironment())
-    saved = glue.rl_agent_save()
-    glue.rl_agent_load(saved[::-1])
-    assert (saved, agent.data) == (b"\0learned\xff", b"\xffdenrael\0")

@@ -105,6 +105,8 @@ def test_a_hub_open_to_others_must_be_said_to_be_insecure(url: str) -> None:
         ({"timeout": float("inf")}, "a week or less"),
         ({"max_body": 0}, f"from 1 to {MAX_BODY} bytes, not 0"),
         ({"max_body": MAX_BODY + 1}, f"from 1 to {MAX_BODY} bytes"),
+        ({"greeting": -1.0}, "greeting must be from 0 to 604800 seconds, not -1.0"),
+        ({"farewell": float("nan")}, "farewell must be from 0"),
         ({"max_sessions": 0}, "max_sessions must be at least 1, not 0"),
         ({"bind": ("tcp://nowhere",)}, "is not the address of a hub"),
     ],

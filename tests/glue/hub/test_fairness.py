@@ -278,6 +278,6 @@ def test_a_newcomer_that_holds_little_is_not_evicted_for_those_that_fill_the_mem
 
 def test_who_takes_part_in_no_session_and_holds_much_is_evicted_first() -> None:
     memory = Memory(2**20)
-    seated, newcomer = Holding(memory, 2**20 - 2**17, True), Holding(memory, 2**17, False)
+    seated, newcomer = Holding(memory, 2**20, True), Holding(memory, 2**17, False)
     memory.relieve()
     assert (seated.evicted, newcomer.evicted) == (False, True)

@@ -50,12 +50,6 @@ def play(glue: Experiment) -> list[object]:
     return shown
 
 
-def test_it_plays_as_in_one_process(hub: Hub) -> None:
-    serve_chain(hub)
-    with inside(hub) as glue, local(ChainAgent(), ChainEnvironment()) as expected:
-        assert play(glue) == play(expected)
-
-
 def test_it_plays_where_there_is_no_epoll(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(network, "Poller", network.PortablePoller)  # as on macOS
     with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT)).in_background() as hub:

@@ -17,12 +17,11 @@ from glue.client.experiment import connect_over
 from glue.client.players import serve_agent, serve_environment
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
-from glue.errors import ConfigError, GlueError, PeerFailed, PeerLost
+from glue.errors import ConfigError, GlueError, PeerFailed
 from glue.hub.config import HubConfig
 from glue.hub.io.hosting import host
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
-from glue.types import Action, Observation
 from glue.wire.messages import Role
 from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent, SeededEnvironment
 
@@ -77,7 +76,7 @@ def play(glue: Experiment, seed: int, max_steps: int) -> list[object]:
 
 @every_arrangement
 @pytest.mark.parametrize(("environment", "agent"), [("mines", "sarsa"), ("mines", "random")])
-@pytest.mark.parametrize(("seed", "max_steps"), [(1, 0), (2, 7), (3, 200)])
+@pytest.mark.parametrize(("seed", "max_steps"), [(1, 0), (2, 7)])
 def test_results_are_those_of_one_process(
     inside: Any, environment: str, agent: str, seed: int, max_steps: int
 ) -> None:
@@ -100,60 +99,6 @@ def test_calls_arrive_in_the_same_order(inside: Any) -> None:
         assert play(alone, 4, 9) == shown
         alone.rl_cleanup()
     assert calls == expected
-
-
-class _KilledAgent(ScriptedAgent):
-    """Ends at its tenth step."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._left = 10
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        self._left -= 1
-        if not self._left:
-            raise KeyboardInterrupt
-        return super().agent_step(reward, observation)
-
-
-class _KilledEnvironment(ScriptedEnvironment):
-    """Ends at its tenth step."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._left = 10
-
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        self._left -= 1
-        if not self._left:
-            raise KeyboardInterrupt
-        return super().env_step(action)
-
-
-def play_on(glue: Experiment, shown: list[object]) -> None:
-    """Play episodes until one fails, and add their results to `shown`."""
-    while True:
-        shown += [glue.rl_episode(4), glue.rl_return()]
-
-
-@pytest.mark.parametrize("killed", [Role.AGENT, Role.ENVIRONMENT])
-def test_an_outer_player_that_is_killed_is_replaced_as_without_inside(killed: Role) -> None:
-    results = []
-    for inside in (frozenset[Role](), frozenset({Role.AGENT, Role.ENVIRONMENT}) - {killed}):
-        agent = _KilledAgent() if killed is Role.AGENT else ScriptedAgent()
-        environment = _KilledEnvironment() if killed is Role.ENVIRONMENT else ScriptedEnvironment()
-        with arranged(inside, agent, environment) as (glue, url):
-            shown: list[object] = [glue.rl_init(seed=1)]
-            with pytest.raises(PeerLost):
-                play_on(glue, shown)
-            fresh = ScriptedAgent() if killed is Role.AGENT else ScriptedEnvironment()
-            thread = serve(killed, fresh, url)
-            for _ in range(3):
-                shown += [glue.rl_episode(4), glue.rl_return(), glue.rl_num_episodes()]
-            results.append(shown)
-        thread.join(TIMEOUT)
-    assert results[0] == results[1]
-    assert len(results[0]) > 9
 
 
 @pytest.mark.parametrize("role", [Role.AGENT, Role.ENVIRONMENT])

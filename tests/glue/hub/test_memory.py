@@ -1,18 +1,22 @@
-"""A session's account of its memory is true after every message: by what its objects weigh."""
+"""A hub's account of its memory is true after every message: by what its objects weigh."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
 
 from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
 from glue.types import Action, Observation
 from glue.wire.limits import MAX_NAME
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, THREE_ROLES, Kind, Role
 from tests.glue.hub.test_sessions import Rig, instance
-from tests.weighing import check_board, size_of
+from tests.scripted.peer import TIMEOUT, ScriptedPeer
+from tests.weighing import check, check_board, size_of
 
 HEAVY = 500_000
 
@@ -216,3 +220,28 @@ def test_a_session_with_the_longest_names_weighs_no_more_than_its_fixed_part() -
             rig.put(player, Kind.GOODBYE, 0, "x" * 3000, session=wide)
         check_board(rig.board)
     assert size_of(rig.board._sessions.values()) > 8000
+
+
+def test_a_connection_accounts_for_what_it_has_received_and_not_sent() -> None:
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT, farewell=0.0))
+    (url,) = hub.endpoints
+    body = bytes(8 * 2**20)
+    full = threading.Event()
+
+    def weigh(now: float) -> None:
+        check(hub)
+        # The reply, kept by the session and by the connection that it waits for, and half a message.
+        if hub.switchboard.memory.total > 3 * len(body):
+            full.set()
+
+    hub.loop.on_tick(weigh)
+    with hub.in_background(), ExitStack() as stack:
+        agent, half = (stack.enter_context(ScriptedPeer(url).greet()) for _ in range(2))
+        experiment = stack.enter_context(ScriptedPeer(url, receive_buffer=4096).greet())
+        agent.join("agent")
+        half.join("agent", session="half")
+        experiment.join("experiment")
+        experiment.say(Kind.RL_AGENT_MESSAGE, 1)
+        agent.say(Kind.AGENT_MESSAGE, agent.receive().seq, body=body)
+        half.send_bytes(half.encoded(*half.frames_of(Kind.AGENT_MESSAGE, 1, body=body))[:-1])
+        assert full.wait(TIMEOUT)

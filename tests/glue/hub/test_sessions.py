@@ -26,6 +26,7 @@ from glue.wire.messages import (
     Role,
     Shape,
 )
+from tests.proof import size
 from tests.weighing import check_board
 
 OBSERVATION = Observation(ints=[3], chars=b"o").body
@@ -912,8 +913,9 @@ def events(draw: st.DrawFn) -> tuple[Any, ...]:
     return what, route
 
 
+@pytest.mark.proof
 @given(st.lists(events(), max_size=60))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=size(60, 2000), deadline=None)
 def test_the_switchboard_survives_any_behaviour_and_accounts_for_what_it_keeps(
     story: list[tuple[Any, ...]],
 ) -> None:

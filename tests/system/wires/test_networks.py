@@ -20,13 +20,12 @@ from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
 from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment
-from tests.proof import FULL
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import ROOT, peer
 from tests.system.wires import networks
 from tests.system.wires.networks import NEAR, Networks
 
-pytestmark = [pytest.mark.proof, pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")]
+pytestmark = [pytest.mark.proof, pytest.mark.stage("proof")]
 
 HEARTBEAT = 0.2
 EPISODES = 20

@@ -15,10 +15,9 @@ from glue.client.experiment import connect
 from glue.client.players import serve_environment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from tests.proof import FULL
 from tests.scripted.peer import TIMEOUT
 
-pytestmark = [pytest.mark.proof, pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")]
+pytestmark = [pytest.mark.proof, pytest.mark.stage("proof")]
 
 AGENT: Final = Path(__file__).parents[2] / "clients/dealer.cjs"
 VERSION: Final = "6"
