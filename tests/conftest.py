@@ -26,6 +26,8 @@ FOLDERS: Final = {
     "experiment_runner/loggers": "loggers",
     "experiment_runner/study": "studies",
     "experiment_runner/view/browser": "page",
+    **{f"env_server/gym/test_{name}.py": "gymnasium" for name in ("pufferlib", "torchrl")},
+    "glue/gym/test_sb3.py": "gymnasium",
     "jails": "containers",
     "model": "model",
     "package/test_coming_from.py": "coming_from",

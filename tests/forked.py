@@ -23,7 +23,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.meeting import children
+from experiment_runner.meeting import children, warm
 
 BIN: Final = Path(sys.executable).parent
 
@@ -200,14 +200,16 @@ def _record(printed: Path, run: Callable[..., int], arguments: tuple[Any, ...]) 
 
 
 def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Sequence[Path]) -> int:
-    for stream, path in zip((sys.stdout, sys.stderr), printed, strict=True):
-        redirect(stream.fileno(), path)
+    for name, descriptor, path in zip(("stdout", "stderr"), (1, 2), printed, strict=True):
+        redirect(descriptor, path)
+        # New ones, because the old ones know whether their first file could seek.
+        setattr(sys, name, os.fdopen(descriptor, "w", encoding="utf-8", buffering=1, closefd=False))
     os.environ.clear()
     os.environ.update(env)
     # Python reads the variable only at start-up.
     sys.path[:0] = filter(None, env.get("PYTHONPATH", "").split(os.pathsep))
     os.chdir(cwd)
-    vars(children)["spawn"] = _Child
+    vars(children)["spawn"] = vars(warm)["spawn"] = _Child
     sys.argv = [str(BIN / command[0]), *command[1:]]
     runpy.run_path(sys.argv[0], run_name="__main__")
     return 0

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,10 +24,26 @@ from glue.hub.config import DEFAULT_HUB
 from glue.keys.certificates import encode, read_pair, read_public
 
 if TYPE_CHECKING:
+    from experiment_runner.competition.course import Course
+    from experiment_runner.competition.records.journal import Act
     from experiment_runner.competition.settings import Competition
+    from experiment_runner.store.store import Store
 
 _FILE = click.argument("file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE")
 _DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, file_okay=False), metavar="DIR")
+_REASON = click.option(
+    "--reason",
+    required=True,
+    callback=lambda context, option, value: _reason(value),
+    metavar="TEXT",
+    help="Why, in a line for all to read: it is sealed with the run, and shown on the board.",
+)
+
+
+def _reason(text: str) -> str:
+    if not text.strip() or not text.isprintable():
+        raise click.BadParameter("a reason is a line of printable text")
+    return text.strip()
 
 
 @click.group("glue-compete", no_args_is_help=True)
@@ -53,7 +71,7 @@ def compete() -> None:
     help="Directory of the reports, a folder for each entrant.",
 )
 def check(file: Path, out: Path) -> int:
-    """Let every entrant start and play 3 episodes with a public level, and report to its owner."""
+    """Let every entrant play 3 episodes of each task on a public level, and report to its owner."""
     from experiment_runner.competition.secret import read_secret
     from experiment_runner.competition.smoke import check_entrants
 
@@ -94,15 +112,16 @@ def check(file: Path, out: Path) -> int:
 @click.option("--view", is_flag=True, help="Show the standings on a page in the browser, until Ctrl-C.")
 def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, bind: str, view: bool) -> int:
     """Let every entrant play every task. After an interruption, the same command plays the rest."""
+    from experiment_runner.competition.course import course_of
     from experiment_runner.competition.organiser import hold, open_competition
-    from experiment_runner.competition.secret import read_secret, trials
+    from experiment_runner.competition.secret import read_secret
     from experiment_runner.competition.settings import Gate
     from experiment_runner.executors.resume import kept_if_begun
 
     if view:
         check_view()
     competition = _load(file)
-    specs = trials(competition, read_secret(competition, os.environ, say))
+    secret = read_secret(competition, os.environ, say)
     text = read_text(file, follow=True)
 
     def kept() -> None:
@@ -110,19 +129,88 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
 
     with kept_if_begun(out, kept), ExitStack() as stack:
         with naming_out():
-            store = stack.enter_context(open_competition(out, text, competition, specs))
+            store = stack.enter_context(open_competition(out, text, competition, secret))
         wait = stack.enter_context(viewed(out, say)) if view else None
         gate = None if keys is None else Gate(bind, keys)
         failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say, gate)
         store.close()  # so that it can be verified while the page is open
+        total = len(course_of(out).trials)
         if failed:
-            whole = f"{failed} of {len(specs)} trials have failed"
-            say(f"{whole}: start the same command again when that is solved")
+            say(f"{failed} of {total} trials have failed: start the same command again when that is solved")
         else:
-            say(f"all {len(specs)} trials are over; now: glue-compete verify {out}")
+            say(f"all {total} trials are over; now: glue-compete verify {out}")
         if wait is not None:
             wait()
     return 1 if failed else 0
+
+
+@compete.command()
+@_DIRECTORY
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE")
+@_REASON
+def add(directory: Path, file: Path, reason: str) -> None:
+    """Add the entrants of FILE that the run in DIR does not have yet; `run` then lets them play."""
+    from experiment_runner.competition.organiser import admissions
+    from experiment_runner.competition.records.journal import ADD
+
+    competition = _load(file)
+
+    def acts(course: Course, store: Store) -> list[Act]:
+        new = [entrant for entrant in competition.entrants if entrant.name not in course.entrants]
+        if not new:
+            raise ExperimentError(f"{file} has no entrant that {directory} does not have")
+        return admissions(competition, new, ADD, reason)
+
+    _act(directory, acts)
+    say(f"now: glue-compete run {file} --out {directory}")
+
+
+@compete.command()
+@_DIRECTORY
+@click.argument("entrants", nargs=-1, required=True, metavar="ENTRANT...")
+@_REASON
+def exclude(directory: Path, entrants: tuple[str, ...], reason: str) -> None:
+    """Take entrants of the run in DIR off the board for good; everything that they played is kept."""
+    _act(directory, lambda course, store: [course.exclusion(one, reason) for one in dict.fromkeys(entrants)])
+
+
+@compete.command()
+@_DIRECTORY
+@click.argument("trials", nargs=-1, required=True, metavar="TRIAL...")
+@_REASON
+def rerun(directory: Path, trials: tuple[str, ...], reason: str) -> None:
+    """Have trials of the run in DIR, such as alice/easy/0, played again by `run`, on the same levels.
+
+    The new trials count instead of the old ones, which are kept.
+    """
+
+    def acts(course: Course, store: Store) -> list[Act]:
+        over = store.outcomes()
+        made: list[Act] = []
+        for trial in dict.fromkeys(trials):
+            made.append(replace(course, acts=[*course.acts, *made]).repetition(trial, over, reason))
+        return made
+
+    _act(directory, acts)
+    say(f"now: glue-compete run FILE --out {directory}")
+
+
+def _act(directory: Path, acts: Callable[[Course, Store], list[Act]]) -> None:
+    """Add acts to the journal of a run, and show them."""
+    from experiment_runner.competition.board.forms import told
+    from experiment_runner.competition.course import course_of
+    from experiment_runner.competition.records import seal
+    from experiment_runner.store.store import Store
+
+    with Store.open(directory) as store:
+        if seal.seal(store) and (changed := seal.broken(store)):
+            raise ExperimentError(
+                f"{changed} in {directory} were changed since they were written: put them back"
+            )
+        made = acts(course_of(directory), store)
+        seal.record_acts(store, made)
+    for one in made:
+        say(told(one))
 
 
 @compete.command()
@@ -135,27 +223,28 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
 )
 def verify(directory: Path, sign: Path | None) -> int:
     """Play every recorded action again, and compare every reward and score, bit for bit."""
-    from experiment_runner.competition.organiser import competition_of
+    from experiment_runner.competition.course import course_of
     from experiment_runner.competition.records import seal
     from experiment_runner.competition.records.verify import verify as verify_run
     from experiment_runner.store.store import Store
 
     pair = None if sign is None else read_pair(sign, "sign")
-    steps = {task.name: task.steps for task in competition_of(directory).tasks}
+    course = course_of(directory)
+    steps = {task.name: task.steps for task in course.competition.tasks}
     with Store.open(directory) as store:
         if not seal.seal(store):
             say("there was no seal, which version 0.1.0 did not make: the run is sealed as it is now")
         changed = seal.broken(store)
         if changed:
             say(f"{changed} were changed since they were written")
-        outcomes = len(store.outcomes())
+        over = set(store.outcomes())
         problems = verify_run(store, steps, say)
-        total = len(store.trials())
+        left = set(course.trials) - over
         still_broken = seal.broken(store)
-    say(f"{outcomes - problems} of {total} trials are verified")
-    if outcomes < total:
-        say(f"{total - outcomes} trials are not over: continue with glue-compete run FILE --out {directory}")
-    failed = problems or changed or still_broken or outcomes < total
+    say(f"{len(over) - problems} of {len(over) + len(left)} trials are verified")
+    if left:
+        say(f"{len(left)} trials are not over: continue with glue-compete run FILE --out {directory}")
+    failed = problems or changed or still_broken or left
     if pair is not None and failed:
         say("nothing was signed")
     elif pair is not None:
@@ -190,7 +279,7 @@ def board(directory: Path, form: str, reveal: bool, signed_by: str | None) -> No
     """Print the standings, which count only verified trials."""
     from experiment_runner.competition.board.forms import as_csv, as_json, as_text
     from experiment_runner.competition.board.standings import standings
-    from experiment_runner.competition.organiser import competition_of
+    from experiment_runner.competition.course import course_of
     from experiment_runner.report.tables import terminal_width
     from experiment_runner.store.results import Results
     from experiment_runner.view.export import as_page
@@ -198,7 +287,7 @@ def board(directory: Path, form: str, reveal: bool, signed_by: str | None) -> No
     if signed_by is not None:
         _check_signature(directory, read_public(signed_by, "signed_by"))
     with Results.open(directory) as results:
-        found = standings(results, competition_of(directory), reveal)
+        found = standings(results, course_of(directory), reveal)
     if form == "text":
         click.echo(as_text(found, terminal_width()))
     else:

@@ -2,6 +2,9 @@
 
 The engine is Docker's, or any other that offers Docker's API at a Unix socket, as podman does; the
 environment variable DOCKER_HOST gives its address.
+
+What the engine answers about an entrant's container is the entrant's affair, and ends in its forfeit. What it
+says of itself, or that it says nothing, is waited for, and at last ends the trial without an outcome.
 """
 
 from __future__ import annotations
@@ -10,39 +13,72 @@ import errno
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from docker.errors import APIError, DockerException, ImageNotFound, NotFound
 from requests.exceptions import RequestException
+from urllib3.exceptions import HTTPError
 
 import docker
-from experiment_runner.competition.jail import LABEL, check_engine, check_image, jail, user_of
+from experiment_runner.competition.jail import LABEL, check_engine, check_image, check_limits, jail, own_user
 from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starting import SOCKET, Launch
+from experiment_runner.competition.starting import SOCKET, Launch, Running
 from experiment_runner.meeting.watchdog import spawn
 from experiment_runner.store.layout import write_flushed
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
+
+_T = TypeVar("_T")
 
 _UNIX: Final = "unix://"
 _DOCKER: Final = f"{_UNIX}/var/run/docker.sock"
 
 _NOT_ALLOWED: Final = os.strerror(errno.EACCES)
 
+_PATIENCE_SECONDS: Final = 120.0
+"""Seconds to wait for an engine that is away, or lacks something of this machine's."""
+
+_AGAIN_SECONDS: Final = 1.0
+
+_LACKS: Final = tuple(
+    os.strerror(number).lower()
+    for number in (
+        errno.ENOSPC,
+        errno.EDQUOT,
+        errno.ENOMEM,
+        errno.EMFILE,
+        errno.ENFILE,
+        errno.EAGAIN,
+        errno.EIO,
+    )
+)
+"""Ends of answers in which an engine speaks of this machine, whatever it was asked to do."""
+
+_REMOVED: Final = (404, 409)
+"""Answers about a container that is gone, or is being removed."""
+
 _SIGNALLED: Final = 128
 """The exit status for signal 0."""
 
-_BYTES_PER_SECOND: Final = 2**20
-"""Rate at which the output of a container is read. Measured: a container that prints without end then costs
-the engine 0.02 of a core; without this limit, with its logs in files, a whole core."""
+_BYTES_PER_SECOND: Final = 2**15
+"""Rate at which the output of a container is read."""
+
+_READS_PER_SECOND: Final = 50
 
 _LAST_WORDS_SECONDS: Final = 3.0
 """Time to wait for the output of a container that has ended."""
+
+_LATE_SECONDS: Final = 1.0
+"""Time to wait for the news that a container that has ended had run out of memory: it may come second."""
+
+
+class _Unreachable(ConfigError):
+    """No engine answers."""
 
 
 class Containers:
@@ -55,36 +91,61 @@ class Containers:
     def __init__(self, warn: Callable[[str], None] = say) -> None:
         self._warn = warn
 
-    def check(self, entrant: Entrant) -> None:
-        """Check that the image is on this machine and can be jailed.
+    def check(self, entrant: Entrant, limits: Limits) -> str:
+        """Check that the image is on this machine and can be jailed; return its id.
 
         Raises:
             ConfigError: the image is missing or unsuitable, or there is no engine that can hold a jail.
+            ExperimentError: the engine cannot look at it.
         """
-        warning = check_image(str(entrant.image), self._image(entrant))
-        if warning is not None:
-            self._warn(f"{entrant.name}: {warning}")
+        engine = self._engine
 
-    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Container:
+        def look() -> Any:
+            check_limits(limits, engine.info()["NCPU"])
+            return engine.images.get(entrant.id or entrant.image).attrs
+
+        try:
+            found = _ask(f"look at the image {entrant.image}", look)
+        except ImageNotFound:
+            raise ConfigError(_missing(entrant)) from None
+        except APIError as error:
+            raise ConfigError(f"the image {entrant.image} cannot be read: {_in_short(error)}") from None
+        warning = check_image(str(entrant.image), found["Config"], found["Size"])
+        if warning is not None and not entrant.id:
+            self._warn(f"{entrant.name}: {warning}")
+        return str(found["Id"])
+
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Running:
         """Start the image in a jail of its own.
 
         Raises:
-            ConfigError: as `check`.
-            ExperimentError: the engine cannot start it.
+            ConfigError, ExperimentError: the image is gone, or the engine can start nothing.
         """
-        user, _ = user_of(self._image(entrant).get("User") or "")
         # The container's user may be unprivileged; the parent folder keeps out other users of this machine.
         launch.folder.chmod(0o711)
         (launch.folder / SOCKET).chmod(0o666)
-        with _asking(f"start a container for {entrant.name}"):
-            settings = {"Image": entrant.image, **jail(limits, launch, user, self._podman)}
+        try:
+            return _ask(f"start a container for {entrant.name}", lambda: self._start(entrant, limits, launch))
+        except ImageNotFound:
+            raise ExperimentError(_missing(entrant)) from None
+        except APIError as error:
+            return _NotStarted(launch.log, f"could not be started: {_in_short(error)}")
+
+    def _start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Running:
+        with ExitStack() as held:
+            user = held.enter_context(own_user())
+            settings = {"Image": entrant.id or entrant.image, **jail(limits, launch, user, self._podman)}
             made = self._engine.containers.get(self._engine.api.create_container_from_config(settings)["Id"])
             try:
-                container = Container(made, limits, launch.log, self._address.removeprefix(_UNIX))
-                container.start()
-            except BaseException:
-                _remove(made)
+                container = Container(made, limits, launch.log, self._address.removeprefix(_UNIX), held)
+                made.start()
+            except BaseException as error:
+                with suppress(DockerException, OSError):  # the engine is gone: `sweep` removes it
+                    _remove(made)
+                if isinstance(error, NotFound) and str(made.id) in str(error):
+                    raise ExperimentError("somebody removed a container before it could start") from None
                 raise
+            container.held = held.pop_all()
         return container
 
     def sweep(self, run: str) -> None:
@@ -94,22 +155,12 @@ class Containers:
             ConfigError: there is no engine.
             ExperimentError: the engine cannot remove them.
         """
-        with _asking("remove the containers that are left over"):
+
+        def remove() -> None:
             for container in self._engine.containers.list(all=True, filters={"label": f"{LABEL}={run}"}):
                 _remove(container)
 
-    def _image(self, entrant: Entrant) -> Mapping[str, Any]:
-        """Return the configuration of an entrant's image."""
-        engine = self._engine
-        with _asking(f"look at the image {entrant.image}"):
-            try:
-                settings: Mapping[str, Any] = engine.images.get(entrant.image).attrs["Config"]
-            except ImageNotFound:
-                raise ConfigError(
-                    f"{entrant.name}: the image {entrant.image} is not on this machine: bring it with docker "
-                    "pull, docker load or docker build"
-                ) from None
-        return settings
+        _ask("remove the containers that are left over", remove)
 
     @property
     def _address(self) -> str:
@@ -117,8 +168,7 @@ class Containers:
 
     @cached_property
     def _podman(self) -> bool:
-        with _asking("say what it is"):
-            parts = self._engine.version().get("Components") or []
+        parts = self._engine.version().get("Components") or []
         return any("podman" in str(part.get("Name")).lower() for part in parts)
 
     @cached_property
@@ -140,7 +190,7 @@ class Containers:
                     "--append --groups docker USER, and log in again), or set DOCKER_HOST to the socket of "
                     "a rootless one"
                 ) from None
-            raise ConfigError(
+            raise _Unreachable(
                 f"no container engine answers at {address}: start Docker (systemctl start docker), or set "
                 f"DOCKER_HOST to podman's socket; {_in_short(error)}"
             ) from None
@@ -152,46 +202,41 @@ class Container:
     """An entrant's container, for one trial of a task.
 
     Args:
-        container: as the engine made it.
+        container: as the engine made it, not started yet.
         limits: of the competition.
         log: the file that receives its output, once it is stopped.
         address: path of the engine's socket.
+        held: receives what is released when the container is gone.
 
     Attributes:
         log: as given.
         reason: how it ended without being stopped; None until then. A container counts as ended once the
             system has killed one of its processes for lack of memory, even if others survive.
+        lost: why the engine, or somebody at it, has ended it; None if nothing has.
+        offence: as `reason`, if it used too much memory.
+        held: as given; what the container itself releases.
     """
 
-    def __init__(self, container: Any, limits: Limits, log: Path, address: str) -> None:
+    def __init__(self, container: Any, limits: Limits, log: Path, address: str, held: ExitStack) -> None:
         self.log = log
         self.reason: str | None = None
+        self.lost: str | None = None
+        self.offence: str | None = None
+        self.held = held
         self._container = container
         self._memory = limits.memory
+        self._ended = threading.Event()
+        self._stopped = False
         self._printed = _Printed(container.attach(stream=True), limits.log)
         # Not filtered by event type: podman names the types differently.
         self._events = container.client.api.events(
             since=int(time.time()), filters={"container": container.id}, decode=True
         )
-        self._ended = threading.Event()
-        self._stopped = False
         self._remover = spawn(REMOVER, [address, container.id])
-
-    def start(self) -> None:
-        """Start the container; it ends at once if its image cannot be run.
-
-        Raises:
-            APIError: the engine cannot start it.
-        """
+        held.callback(self._dismiss)
         self._printed.start()
-        threading.Thread(target=self._watch, name="container", daemon=True).start()
-        try:
-            self._container.start()
-        except APIError as error:
-            if not error.is_client_error():
-                self.stop()
-                raise
-            self._end(f"could not be started: {_in_short(error)}")
+        self._watcher = threading.Thread(target=self._watch, name="container", daemon=True)
+        self._watcher.start()
 
     def wait(self, seconds: float) -> bool:
         """Wait until it ends, at most `seconds`; return whether it has ended."""
@@ -206,13 +251,23 @@ class Container:
         if self._stopped:
             return
         self._stopped = True
-        with suppress(OSError):
-            self._events.close()
-        with _asking("stop a container"):
+
+        def kill() -> None:
             with suppress(APIError):  # the container has ended
                 self._container.kill()
+            if not self._ended.is_set():
+                self._watcher.join(_LAST_WORDS_SECONDS)  # news of its memory may be under way
             _remove(self._container)
-        self._dismiss()
+
+        try:
+            _ask("remove a container", kill)
+        except APIError as error:
+            raise ExperimentError(
+                f"the container engine cannot remove a container: {_in_short(error)}"
+            ) from None
+        self.held.close()
+        with suppress(OSError, HTTPError):
+            self._events.close()
         with suppress(OSError):  # the disk is full: the log is not worth the trial
             write_flushed(self.log, self._printed.take())
 
@@ -222,29 +277,60 @@ class Container:
         self._remover.communicate()
 
     def _watch(self) -> None:
-        with suppress(OSError, DockerException):  # the engine is gone, or the container
+        with suppress(OSError, DockerException, HTTPError):  # the engine is gone
             for event in self._events:
                 if event["Action"] == "oom":
-                    self._end(self._used_too_much())
-                elif event["Action"] == "die" and not self._stopped:
+                    self.offence = f"used more than {self._memory / 2**20:g} MiB of memory"
+                    self._end(self.offence)
+                elif event["Action"] == "kill" and not self._stopped:
+                    self._lose("the container engine was told to kill the container, or to end")
+                elif event["Action"] == "die":
+                    if self._stopped:
+                        break
                     self._container.reload()
-                    state = self._container.attrs["State"]
-                    memory = self._used_too_much() if state.get("OOMKilled") else None
-                    self._end(memory or _how_it_ended(int(state["ExitCode"])))
+                    how = _how_it_ended(int(self._container.attrs["State"]["ExitCode"]))
+                    late = threading.Timer(_LATE_SECONDS, self._end, [how])
+                    late.daemon = True
+                    late.start()
+        if not self._stopped:
+            self._lose("the container engine went away")
+
+    def _lose(self, why: str) -> None:
+        if self.reason is None:
+            self.lost = why
+        self._end(why)
 
     def _end(self, reason: str) -> None:
         self.reason = self.reason or reason
         self._ended.set()
 
-    def _used_too_much(self) -> str:
-        return f"used more than {self._memory / 2**20:g} MiB of memory"
+
+class _NotStarted:
+    """A container that the engine could not make or start."""
+
+    lost: str | None = None
+    offence: str | None = None
+
+    def __init__(self, log: Path, reason: str) -> None:
+        self.log = log
+        self.reason: str | None = reason
+        with suppress(OSError):
+            write_flushed(log, f"{reason}\n")
+
+    def wait(self, seconds: float) -> bool:
+        """Return True: it has ended."""
+        return True
+
+    def stop(self) -> None:
+        """Do nothing."""
 
 
 class _Printed(threading.Thread):
     """Keeps the last output of a container.
 
-    It reads no faster than an honest program writes. The engine, which passes the output on, would otherwise
-    spend a whole core on a program that prints without end; with this limit, such a program has to wait.
+    The engine, which passes the output on, spends its own time on each piece that a program prints, however
+    small. So little is read at a time, and seldom: what waits in the engine comes in one piece, and a program
+    that prints without end has to wait.
 
     Args:
         stream: the container's output; closed by `take`.
@@ -263,7 +349,7 @@ class _Printed(threading.Thread):
             for chunk in self._stream:
                 self._kept += chunk
                 del self._kept[: -self._size]
-                time.sleep(len(chunk) / _BYTES_PER_SECOND)
+                time.sleep(1 / _READS_PER_SECOND + len(chunk) / _BYTES_PER_SECOND)
 
     def take(self) -> bytes:
         """Return the last output of a container that has ended."""
@@ -273,34 +359,49 @@ class _Printed(threading.Thread):
         return bytes(self._kept)
 
 
-@contextmanager
-def _asking(what: str) -> Iterator[None]:
-    """Turn the engine's errors into one line.
+def _ask(what: str, ask: Callable[[], _T]) -> _T:
+    """Return the engine's answer; wait if it does not answer, or lacks something of this machine's.
 
     Raises:
-        ExperimentError: the engine cannot do `what`.
+        APIError: its answer, which is about what it was asked for.
+        ExperimentError: it remained unable to answer.
     """
-    try:
-        yield
-    except APIError as error:
-        why = _in_short(error)
-        remedy = "; make room with docker system prune" if "no space left" in why else ""
-        raise ExperimentError(f"the container engine cannot {what}: {why}{remedy}") from None
-    except (RequestException, OSError) as error:
-        raise ExperimentError(
-            f"the container engine does not answer: cannot {what}: {_in_short(error)}"
-        ) from None
+    until = time.monotonic() + _PATIENCE_SECONDS
+    while True:
+        try:
+            return ask()
+        except APIError as error:
+            why = _in_short(error)
+            if not why.lower().removesuffix(": unknown").endswith(_LACKS):
+                raise
+            if _LACKS[0] in why.lower():
+                why += "; make room with docker system prune"
+        except (_Unreachable, RequestException, HTTPError, OSError) as error:
+            why = f"it does not answer: {_in_short(error)}"
+        if time.monotonic() > until:
+            raise ExperimentError(f"the container engine cannot {what}: {why}")
+        time.sleep(_AGAIN_SECONDS)
+
+
+def _missing(entrant: Entrant) -> str:
+    what = f"the image {entrant.image}"
+    if entrant.id:
+        what += f" with which it was admitted, {entrant.id},"
+    return f"{what} is not on this machine: bring it with docker pull, docker load or docker build"
 
 
 def _how_it_ended(status: int) -> str:
-    if status > _SIGNALLED:
-        return f"was killed by signal {status - _SIGNALLED}"
+    if status > _SIGNALLED:  # the container's init makes this status of a signal, but so can a program
+        return f"ended with status {status}, as if by signal {status - _SIGNALLED}"
     return f"ended with status {status}"
 
 
 def _remove(container: Any) -> None:
-    with suppress(NotFound):
+    try:
         container.remove(force=True, v=True)
+    except APIError as error:
+        if error.status_code not in _REMOVED:
+            raise
 
 
 def _in_short(error: Exception) -> str:

@@ -24,7 +24,7 @@ from glue.hub.config import TimeLimits
 from glue.plugins.loading import located
 
 _TOP: Final = ("name", "trials", "seed_file", "seed_env", "limits", "tasks", "entrants")
-_TASK: Final = ("env", "options", "episodes", "steps")
+_TASK: Final = ("env", "options", "episodes", "steps", "max_steps")
 _ENTRANT: Final = ("image", "command", "key", "folder")
 _TIMES: Final = tuple(field.name for field in fields(TimeLimits))
 _SIZES: Final = ("memory", "tmp", "shm", "log")
@@ -35,7 +35,10 @@ _SIZE: Final = re.compile(r"(\d{1,12})([kmg]?)")
 _UNITS: Final = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30}
 _COUNT: Final = range(1, 2**31)
 _TRIALS: Final = range(1, 1001)
-_PIDS: Final = range(1, 2**22)
+_MAX_STEPS: Final = range(2, 2**31)  # RL_num_steps is 1 before the first step
+_PIDS: Final = range(2, 2**22)  # a container has an init besides the program
+_LEAST_MEMORY: Final = 6 * 2**20  # of Docker's containers
+_LEAST_CPUS: Final = 0.01  # likewise
 
 
 def load_competition(path: Path, *, follow: bool = True) -> Competition:
@@ -134,6 +137,7 @@ def _task(name: str, table: Mapping[str, Any], folder: Path) -> Task:
         options,
         _whole(table, "episodes", _COUNT, 0, *where),
         _whole(table, "steps", _COUNT, 0, *where),
+        _whole(table, "max_steps", _MAX_STEPS, 0, *where),
     )
 
 
@@ -177,9 +181,9 @@ def _limits(table: Any) -> Limits:
             given[key] = _whole(table, key, _PIDS, 0, "limits")
         else:
             number = type(value) is float or (type(value) is int and abs(value) < _COUNT.stop)
-            if not number or (key == "cpus" and not 0 < value <= 1024):
-                above = " above 0" if key == "cpus" else ""
-                raise SettingError(f"{key} must be a number{above}, not {shown(value)}", "limits", key)
+            if not number or (key == "cpus" and not _LEAST_CPUS <= value <= 1024):
+                least = f" of at least {_LEAST_CPUS:g}" if key == "cpus" else ""
+                raise SettingError(f"{key} must be a number{least}, not {shown(value)}", "limits", key)
             given[key] = float(value)
     times = {key: given.pop(key) for key in _TIMES if key in given}
     try:
@@ -196,7 +200,10 @@ def _size(key: str, value: object) -> int:
         raise SettingError(
             f'{key} is a number of bytes, as in: {key} = "512m"; not {shown(value)}', "limits", key
         )
-    return int(match[1]) * _UNITS[match[2]]
+    size = int(match[1]) * _UNITS[match[2]]
+    if key == "memory" and size < _LEAST_MEMORY:
+        raise SettingError(f'{key} must be at least "6m", not {shown(value)}', "limits", key)
+    return size
 
 
 def _text(table: Mapping[str, Any], key: str, *where: str) -> str | None:

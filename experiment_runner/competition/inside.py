@@ -23,7 +23,7 @@ from glue.hub.io.server import Hub
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.roles import capabilities
 from glue.taskspec import Space, parse_task_spec
-from glue.trajectory import ActionWriter, Ending
+from glue.trajectory import MAX_EPISODE, ActionWriter, Ending
 from glue.types import CUT_OFF, Action
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
@@ -32,6 +32,14 @@ _TRUNCATE: Final = "truncate"
 """The only capability offered to the hub, which seeds only the agent, and takes no saves."""
 
 _ASKED: Final = frozenset({Kind.ENV_INIT, Kind.ENV_START, Kind.ENV_STEP, Kind.ENV_CLEANUP})
+
+
+_MOST_ACTIONS: Final = 4 * 2**30
+"""Maximum bytes of all actions of a trial, which its record keeps on the organiser's disk."""
+
+
+class _TooMuch(GlueError):
+    """The agent's actions are more than a record can hold."""
 
 
 class InsideEnvironment:
@@ -76,6 +84,8 @@ class InsideEnvironment:
         self._spec = spec
         self._ended = ended
         self._return = 0.0
+        self._bytes = 0
+        self._bytes_before = 0
         self._first_step = 0
         self._began = 0.0
         self._actions: Space | None = None
@@ -124,7 +134,7 @@ class InsideEnvironment:
             scalars, result = self._carry_out(kind, body)
         except Exception as error:
             why = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
-            if kind is Kind.ENV_STEP and self._blames_agent(body, error):
+            if isinstance(error, _TooMuch) or (kind is Kind.ENV_STEP and self._blames_agent(body, error)):
                 self.refusal = why
             else:
                 self.failure = why
@@ -141,22 +151,30 @@ class InsideEnvironment:
                 raise PeerFailed(f"the reward of a step is {reward}, not a finite number")
             self.steps += 1
             self._return += reward
-            try:
-                self._record.step(body, reward)
-            except LocalProtocolError as error:  # a limit of the recording, not the agent's fault
-                raise PeerFailed(str(error)) from None
+            self._record_step(body, reward)
             if terminal:
                 self.end(Ending.CUTOFF if terminal == CUT_OFF else Ending.TERMINAL)
         elif kind is Kind.ENV_START:
             self._record.start()
             self.in_episode = True
-            self._return, self._first_step = 0.0, self.steps
+            self._return, self._first_step, self._bytes_before = 0.0, self.steps, self._bytes
             self._began = time.perf_counter()
         elif kind is Kind.ENV_INIT:
             self._record.run(run_of(self._spec, result))
             with suppress(TaskSpecError):
                 self._actions = parse_task_spec(result).actions
         return scalars, result
+
+    def _record_step(self, body: bytes, reward: float) -> None:
+        self._bytes += len(body)
+        if self._bytes > _MOST_ACTIONS:
+            raise _TooMuch(f"its actions take more than {_MOST_ACTIONS >> 20} MiB in this trial")
+        try:
+            self._record.step(body, reward)
+        except LocalProtocolError as error:  # a limit of the recording
+            if self._bytes - self._bytes_before > MAX_EPISODE // 2:
+                raise _TooMuch(f"its actions take more than {MAX_EPISODE >> 20} MiB in an episode") from None
+            raise PeerFailed(str(error)) from None  # the environment pays too many different rewards
 
     def _blames_agent(self, body: bytes, error: Exception) -> bool:
         """Return whether a step failed because its action was illegal, or the environment refused it."""

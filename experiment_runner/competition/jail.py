@@ -9,13 +9,15 @@ docs/security.md names the attack that each setting prevents.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+import socket
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
 from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.starting import SOCKET, Launch, variables
-from glue.errors import ConfigError
+from glue.errors import ConfigError, ExperimentError
 
 LABEL: Final = "glue.competition"
 """Label of our containers: the run that they belong to."""
@@ -24,10 +26,6 @@ _FOLDER: Final = "/run/glue"
 """Mount point of the directory with the hub's socket."""
 
 _HUB: Final = f"ipc://{_FOLDER}/{SOCKET}"
-
-_NOBODY: Final = "65534:65534"
-
-_NUMBERS: Final = re.compile(r"([1-9]\d{0,8})(?::(\d{1,9}))?")
 
 _SECCOMP: Final = Path(__file__).with_name("seccomp.json")
 """The system calls of a jail, in Docker's format. Not among them are `AF_VSOCK`, `io_uring` and others that
@@ -39,16 +37,31 @@ _MASKED: Final = (
         for name in ("acpi", "asound", "kcore", "keys", "latency_stats", "sched_debug", "scsi")
     ),
     *(f"/proc/{name}" for name in ("timer_list", "timer_stats", "kallsyms", "kpagecount", "kpageflags")),
-    "/sys/firmware",
-    "/sys/devices/virtual/powercap",
     # The load of the whole machine, through which entrants could watch and signal each other.
     *(
         f"/proc/{name}"
         for name in ("loadavg", "stat", "meminfo", "vmstat", "uptime", "zoneinfo", "buddyinfo")
     ),
     *(f"/proc/{name}" for name in ("interrupts", "softirqs", "schedstat", "diskstats", "pressure", "swaps")),
+    "/proc/sys/fs",
 )
-"""Paths that are empty in a jail; this list replaces the engine's own, and includes it."""
+"""Paths of /proc that are empty in a jail; with those of `_hidden` they replace the engine's own list, and
+include it."""
+
+_SHOWN: Final = ("devices/system/cpu", "fs/cgroup")
+"""What a jail sees of /sys: the list of processors, and its own control group."""
+
+_PROCESSOR: Final = re.compile(r"cpu(\d+|freq|idle)")
+"""Folders in `devices/system/cpu` that show how busy and how fast each processor is."""
+
+_ULIMITS: Final = {"msgqueue": 0, "core": 0, "sigpending": 256, "nofile": 1024}
+"""Limits of what a process could use of the kernel's memory, by their names in Docker's API."""
+
+_USERS: Final = range(40_000, 60_000)
+"""Users of jails: within the 65,536 of a rootless engine, and above those of most machines."""
+
+_GIANT: Final = 8 * 2**30
+"""Size in bytes from which an image is worth a warning."""
 
 _NEEDED: Final = {"MemoryLimit": "memory", "PidsLimit": "processes", "CpuCfsQuota": "processors"}
 """Limits that an engine must support: their keys in its description, and their names in messages."""
@@ -60,7 +73,7 @@ def jail(limits: Limits, launch: Launch, user: str, podman: bool = False) -> dic
     Args:
         limits: limits of the entrant.
         launch: directory and session of the entrant's hub.
-        user: user and group, see `user_of`.
+        user: user and group, see `own_user`.
         podman: whether the engine is podman, which takes the path of a seccomp profile instead of its text.
     """
     seccomp = str(_SECCOMP) if podman else _SECCOMP.read_text(encoding="utf-8")
@@ -77,7 +90,8 @@ def jail(limits: Limits, launch: Launch, user: str, podman: bool = False) -> dic
             "Tmpfs": {"/tmp": f"size={limits.tmp},mode=1777,nosuid,nodev,noexec"},
             "CapDrop": ["ALL"],
             "SecurityOpt": ["no-new-privileges", f"seccomp={seccomp}"],
-            "MaskedPaths": list(_MASKED),
+            "MaskedPaths": [*_MASKED, *_hidden(Path("/sys"), _SHOWN)],
+            "Ulimits": [{"Name": name, "Soft": most, "Hard": most} for name, most in _ULIMITS.items()],
             "PidsLimit": limits.pids,
             "Memory": limits.memory,
             "MemorySwap": limits.memory,
@@ -106,12 +120,13 @@ def check_engine(found: Mapping[str, Any], address: str) -> None:
         )
 
 
-def check_image(image: str, settings: Mapping[str, Any]) -> str | None:
+def check_image(image: str, settings: Mapping[str, Any], size: int) -> str | None:
     """Check that an image can be jailed; return a warning, if there is one.
 
     Args:
         image: its name.
         settings: its configuration.
+        size: its size in bytes.
 
     Raises:
         ConfigError: it has nothing to run, or declares volumes, which the engine would keep on this machine's
@@ -124,25 +139,45 @@ def check_image(image: str, settings: Mapping[str, Any]) -> str | None:
             f"the image {image} declares a volume, {', '.join(settings['Volumes'])}, in which it could fill "
             "this machine's disk: remove VOLUME from its Dockerfile; a jail can write to /tmp"
         )
-    declared = settings.get("User") or ""
-    user, chosen = user_of(declared)
-    if chosen:
-        return None
-    return (
-        f"the image {image} is to run as {declared or 'root'}, which need not be an unprivileged user: it is "
-        f"run as {user}, and can read what everybody may; better is a number in its Dockerfile: USER 1000"
-    )
+    if size > _GIANT:
+        return f"the image {image} takes {size / 2**30:.1f} GiB of this machine's disk"
+    return None
 
 
-def user_of(declared: str) -> tuple[str, bool]:
-    """Return the numeric user and group that an image runs as, and whether the image declares them itself.
+def check_limits(limits: Limits, processors: int) -> None:
+    """Check that a machine has what its entrants are promised.
 
-    A name is not enough: the image itself defines the number of that name.
-
-    Args:
-        declared: `USER` of the image; empty for root.
+    Raises:
+        ConfigError: it has fewer processors.
     """
-    match = _NUMBERS.fullmatch(declared)
-    if match is None:
-        return _NOBODY, False
-    return f"{match[1]}:{match[2] or match[1]}", True
+    if limits.cpus > processors:
+        raise ConfigError(f"[limits] has cpus = {limits.cpus:g}, but this machine has only {processors}")
+
+
+@contextmanager
+def own_user() -> Iterator[str]:
+    """Yield a user and group that no other jail on this machine has at the same time.
+
+    The kernel counts much by user: with one user for all, entrants could take each other's share of it, and
+    signal to each other by what is left. The socket of the number's name is gone when its process is.
+    """
+    with socket.socket(socket.AF_UNIX) as taken:
+        for number in _USERS:
+            with suppress(OSError):
+                taken.bind(f"\0glue-jail-{number}")
+                break
+        else:
+            raise ExperimentError(f"all {len(_USERS)} users for containers are taken")
+        yield f"{number}:{number}"
+
+
+def _hidden(folder: Path, shown: Sequence[str]) -> Iterator[str]:
+    """Yield the paths in a folder of /sys that a jail does not see."""
+    for path in sorted(folder.iterdir()):
+        within = [name.partition("/")[2] for name in shown if name.split("/")[0] == path.name]
+        if not within:
+            yield str(path)
+        elif "" not in within:
+            yield from _hidden(path, within)
+        else:
+            yield from (str(one) for one in sorted(path.iterdir()) if _PROCESSOR.fullmatch(one.name))

@@ -3,12 +3,13 @@
     python -P -m experiment_runner.competition.keeper LOG SIZE PROGRAM ARGUMENTS...
 
 When the organiser ends, or closes our standard input, the program and its process group are ended. This
-process exits with the program's status.
+process ends as the program did: with its status, or by the same signal.
 """
 
 from __future__ import annotations
 
 import os
+import resource
 import select
 import signal
 import subprocess
@@ -62,7 +63,12 @@ def _keep(log: Path, size: int, command: Sequence[str]) -> int:
         finally:
             _end(program)
     status = program.wait()
-    return status if status >= 0 else 128 - status
+    if status < 0:  # 128 - status, as of a shell, could be the program's own status
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        with suppress(OSError):  # SIGKILL is always fatal
+            signal.signal(-status, signal.SIG_DFL)
+        os.kill(os.getpid(), -status)
+    return status
 
 
 def _default_signals() -> None:

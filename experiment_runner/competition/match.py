@@ -1,9 +1,8 @@
 """One entrant plays one trial of a task, in a worker process with its own hub.
 
-    python -P -m experiment_runner.meeting.children experiment_runner.competition.match DESCRIPTOR
-
-is a worker, see `experiment_runner.executors.local`. Environment and hub are in this process; the entrant's
-program, which the starter starts, can reach only the socket that it is launched with.
+Workers are forked, see `experiment_runner.meeting.warm` and `experiment_runner.executors.local`. Environment
+and hub are in this process; the entrant's program, which the starter starts, can reach only the socket that
+it is launched with.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +35,8 @@ from glue.errors import ConfigError, ExperimentError, GlueError, HubClosed, Peer
 from glue.hub.config import DEFAULT_SESSION, Bind, HubConfig
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
+from glue.options import build
+from glue.plugins.loading import find
 from glue.trajectory import ActionWriter, Ending
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Event, Role
@@ -45,8 +46,11 @@ MODULE: Final = "experiment_runner.competition.match"
 _LOOK_SECONDS: Final = 0.2
 """Maximum delay in noticing the end of an entrant's program."""
 
-_LAST_WORDS_SECONDS: Final = 1.0
+_LAST_WORDS_SECONDS: Final = 10.0
 """Seconds to wait, when an entrant is lost, for the exit status of its program."""
+
+_FAREWELL_SECONDS: Final = 1.0
+"""Seconds for an entrant's program to end by itself when everything is played."""
 
 _MAX_MEMORY: Final = 4 * MAX_BODY
 """Maximum bytes of messages that a hub keeps: a flood ends connections but does not fill the memory."""
@@ -91,6 +95,11 @@ class Forfeited(NamedTuple):
 
 Report = Recorded | Played | Forfeited | Ended | Lost
 
+
+class _Unfinished(ExperimentError):
+    """The trial was interrupted, for a reason that is not the entrant's."""
+
+
 REPORTS: Final[Mapping[str, type[Report]]] = {kind.__name__: kind for kind in get_args(Report)}
 """The reports of a match, by name."""
 
@@ -126,7 +135,8 @@ def play(
     *,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Play a trial. The last report is `Ended`, preceded by `Forfeited` if the entrant forfeited.
+    """Play a trial. The last report is `Ended`, preceded by `Forfeited` if the entrant forfeited, or it is
+    `Lost` if the trial has to start over.
 
     Args:
         match: the match.
@@ -137,6 +147,9 @@ def play(
     failure = None
     try:
         _Playing(match, send, clock).play(starter)
+    except _Unfinished as error:
+        send(Lost(str(error)))
+        return
     except GlueError as error:
         failure = str(error)
     except Exception as error:
@@ -167,23 +180,33 @@ class _Playing:
             else:
                 bind = gate_for(match.entrant, match.gate)
             config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits.time)
-            hub = stack.enter_context(Hub(config, clock=self._clock))
-            inside = InsideEnvironment(
-                hub,
-                session,
-                environment,
-                self._record,
-                match.spec,
-                lambda result: self._send(Recorded(result, None)),
-            )
-            stack.enter_context(hub.in_background())
-            glue = connect_over(InsideTransport(hub), session, on_notice=self._notice)
-            stack.enter_context(glue)
-            running = starter.start(match.entrant, match.limits, launch)
-            stack.callback(running.stop)
-            stack.callback(self._over.set)
-            threading.Thread(target=self._watch, args=(running, glue), name="entrant", daemon=True).start()
-            self._play_or_forfeit(glue, inside, running)
+            with ExitStack() as meeting:
+                hub = meeting.enter_context(Hub(config, clock=self._clock))
+                inside = InsideEnvironment(
+                    hub,
+                    session,
+                    environment,
+                    self._record,
+                    match.spec,
+                    lambda result: self._send(Recorded(result, None)),
+                )
+                meeting.enter_context(hub.in_background())
+                glue = connect_over(InsideTransport(hub), session, on_notice=self._notice)
+                meeting.enter_context(glue)
+                running = starter.start(match.entrant, match.limits, launch)
+                stack.callback(running.stop)
+                meeting.callback(self._over.set)
+                threading.Thread(
+                    target=self._watch, args=(running, glue), name="entrant", daemon=True
+                ).start()
+                why = self._play_or_forfeit(glue, inside, running)
+            # The hub has said goodbye.
+            if why is None:
+                running.wait(_FAREWELL_SECONDS)
+                running.stop()
+                why = running.offence and f"its program {running.offence}"
+            if why is not None:
+                self._send(Forfeited(one_line(why, _MAX_REASON) or "no reason was given"))
 
     def _launch(self, scratch: Path, session: str) -> Launch:
         shared = self._match.entrant.folder
@@ -197,7 +220,10 @@ class _Playing:
             self._match.log.parent.mkdir(parents=True, exist_ok=True)
         return Launch(folder, session, self._match.log, self._match.run)
 
-    def _play_or_forfeit(self, glue: RemoteExperiment, inside: InsideEnvironment, running: Running) -> None:
+    def _play_or_forfeit(
+        self, glue: RemoteExperiment, inside: InsideEnvironment, running: Running
+    ) -> str | None:
+        """Play; return why the entrant forfeits, or None."""
         try:
             glue.wait_for_players(lambda missing: None)
             glue.rl_init(agent_seed(self._match.spec))
@@ -206,18 +232,22 @@ class _Playing:
         except (PeerLost, PeerFailed, HubClosed) as error:
             if inside.failure is not None:
                 raise ExperimentError(f"the environment failed: {inside.failure}") from error
+            why = self._reason(error, inside, running)
+            if running.lost is not None:
+                raise _Unfinished(running.lost) from error
             inside.end(Ending.VOID)
             self._record.close()
-            self._send(Forfeited(one_line(self._reason(error, inside, running), _MAX_REASON)))
-            return
+            return why
         with suppress(GlueError):  # everything is played; the agent's cleanup changes nothing
             glue.rl_cleanup()
+        return None
 
     def _episodes(self, glue: RemoteExperiment, inside: InsideEnvironment) -> None:
         steps, spec = self._match.steps, self._match.spec
         while inside.steps < steps if steps else inside.episodes < spec.episodes:
             # RL_num_steps is 1 after the start: this allows all remaining steps.
-            glue.rl_episode(steps - inside.steps + 1 if steps else spec.max_steps)
+            left = steps - inside.steps + 1 if steps else spec.max_steps
+            glue.rl_episode(min(left, spec.max_steps or left))
             inside.end(Ending.CUTOFF)
 
     def _notice(self, event: Event, role: Role, name: str) -> None:
@@ -229,7 +259,10 @@ class _Playing:
         limit = self._match.limits.time.start_seconds
         began = self._clock()
         while not self._over.is_set():
-            if running.wait(_LOOK_SECONDS):
+            ended = running.wait(_LOOK_SECONDS)
+            if self._over.is_set():
+                return
+            if ended:
                 self._ended = f"its program {running.reason}"
             elif not self._joined.is_set() and self._clock() - began > limit:
                 self._ended = f"it did not connect within {limit:g} s"
@@ -243,6 +276,17 @@ class _Playing:
         if isinstance(error, PeerLost) and running.wait(_LAST_WORDS_SECONDS):
             return f"its program {running.reason}"
         return str(error)
+
+
+def prepare(environments: Sequence[str]) -> None:
+    """Import environments and load what they have compiled, for the processes that are forked from this one.
+
+    Those in a user's own file are left to each process: what the file does is not known.
+    """
+    for name in environments:
+        if ":" not in name:
+            with suppress(Exception):  # a process that plays says what is wrong
+                build(find(Role.ENVIRONMENT, name), {}).env_init()
 
 
 def main() -> None:

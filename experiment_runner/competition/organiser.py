@@ -4,6 +4,7 @@ Only this process writes to the run directory, whose trials are the matches:
 
     results.sqlite     outcomes and episodes, see `experiment_runner.store`
     competition.toml   the competition's file, as it was at the start
+    journal.jsonl      what its organiser has done since, see `records.journal`
     records/           actions and rewards, recordings without observations
     logs/              output of each entrant
 
@@ -18,7 +19,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.competition.file import load_competition
+from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.match import (
     MODULE,
     REPORTS,
@@ -29,9 +30,11 @@ from experiment_runner.competition.match import (
     starter_for,
 )
 from experiment_runner.competition.outside import gate_for
+from experiment_runner.competition.records.journal import ADD, ENTER, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
-from experiment_runner.competition.records.seal import broken, record_outcome, seal
-from experiment_runner.competition.settings import Competition, Gate
+from experiment_runner.competition.records.seal import add_trials, broken, record_outcome, seal
+from experiment_runner.competition.secret import trials
+from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
 from experiment_runner.competition.starting import name_of_run
 from experiment_runner.executors.dispatch import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
@@ -40,11 +43,11 @@ from experiment_runner.executors.local import LocalExecutor
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.plan.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
-from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, LOGS
+from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, JOURNAL_FILE, LOGS
 from experiment_runner.store.records import TrialEnd
 from experiment_runner.store.store import Store
 from glue.closing import Closing
-from glue.errors import ExperimentError
+from glue.errors import ConfigError, ExperimentError
 
 _FOR_ITS_OWNER: Final = 0o700
 
@@ -56,44 +59,57 @@ def log_path(directory: Path, trial_id: str) -> Path:
     return directory / LOGS / f"{trial_id}.log"
 
 
-def open_competition(
-    directory: Path, text: str, competition: Competition, specs: Sequence[TrialSpec]
-) -> Store:
+def open_competition(directory: Path, text: str, competition: Competition, secret: bytes) -> Store:
     """Return the store of a competition: a new one, or the one in the directory if it is the same.
 
     Args:
         directory: contains the run, or will contain it; only its owner may read it, as it has secret levels.
         text: contents of the competition's file.
         competition: the same, parsed.
-        specs: all trials.
+        secret: the secret seed.
 
     Raises:
+        ConfigError: an entrant cannot be started, or there is no such environment or option.
         ExperimentError: the directory holds something else, is in use, or cannot be written to.
     """
     with reported(f"cannot open {directory}"):
         exists = holds_run(directory)
-        directory.mkdir(mode=_FOR_ITS_OWNER, parents=True, exist_ok=True)
-    if not exists:
-        files = {COMPETITION_FILE: text, ABOUT_FILE: json.dumps(about(), indent=2) + "\n"}
-        store = Store.create(directory, specs, files)
+    if exists:
+        course = course_of(directory)
     else:
+        trials(competition, secret)  # a mistake in a task is found before an engine is asked for anything
+        course = Course(
+            competition, admissions(competition, competition.entrants, ENTER, "in the file at the start")
+        )
+    specs = course.with_reruns(trials(course.admitted(competition), secret))
+    with reported(f"cannot write to {directory}"):
+        directory.mkdir(mode=_FOR_ITS_OWNER, parents=True, exist_ok=True)
+    if exists:
         store = Store.open(directory)
+    else:
+        about_it = json.dumps(about(), indent=2) + "\n"
+        files = {COMPETITION_FILE: text, ABOUT_FILE: about_it, JOURNAL_FILE: text_of(course.acts)}
+        store = Store.create(directory, specs, files)
     try:
         with reported(f"cannot write to {directory}"):
             directory.chmod(_FOR_ITS_OWNER)
-        recorded = [record.spec for record in store.trials()]
-        if recorded != list(specs):
-            why = _difference(recorded, specs)
-            raise ExperimentError(f"{directory} is the run of another competition: {why}")
-        if _rules(competition_of(directory)) != _rules(competition):
+        if _rules(course.competition) != _rules(competition):
             raise ExperimentError(
-                f"{directory} was begun with other limits, or another number of episodes or steps: put those "
-                "of its competition.toml back, or choose another directory"
+                f"{directory} was begun with other limits, or another number of trials, episodes or steps: "
+                "put those of its competition.toml back, or choose another directory"
             )
+        recorded = {record.spec.id: record.spec for record in store.trials()}
+        new = [spec for spec in specs if spec.id not in recorded]
+        played = [spec for spec in specs if spec.id in recorded]
+        if played != list(recorded.values()) or any(_planned(spec, course) for spec in new):
+            why = _difference(list(recorded.values()), specs)
+            raise ExperimentError(f"{directory} is the run of another competition: {why}")
         if seal(store) and (changed := broken(store)):
             raise ExperimentError(
                 f"{changed} in {directory} were changed since they were written: put them back"
             )
+        if new:
+            add_trials(store, new)
         store.record_event("resume" if exists else "start", program())
     except BaseException:
         store.close()
@@ -101,16 +117,28 @@ def open_competition(
     return store
 
 
-def competition_of(directory: Path) -> Competition:
-    """Return the competition of a run.
+def admissions(competition: Competition, entrants: Iterable[Entrant], kind: str, reason: str) -> list[Act]:
+    """Return the acts of admitting entrants, once each can be started.
 
     Raises:
-        ExperimentError: the directory holds no competition.
+        ConfigError: one cannot; the message names it.
     """
-    path = directory / COMPETITION_FILE
-    if not path.is_file():
-        raise ExperimentError(f"{directory} holds no competition: glue-compete run makes one")
-    return load_competition(path, follow=False)
+    return [
+        act(kind, entrant.name, reason, player=entrant.player, id=check(entrant, competition.limits))
+        for entrant in entrants
+    ]
+
+
+def check(entrant: Entrant, limits: Limits) -> str:
+    """Check that an entrant can be started; return its `Entrant.id`.
+
+    Raises:
+        ConfigError: it cannot; the message names it.
+    """
+    try:
+        return starter_for(entrant).check(entrant, limits)
+    except ConfigError as error:
+        raise ConfigError(f"entrant {entrant.name}: {error}", settings=error.settings) from None
 
 
 def matches(
@@ -148,24 +176,26 @@ def hold(store: Store, competition: Competition, workers: int, say: Say, gate: G
         StorageError: the run cannot be written to.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
-    over = store.outcomes()
-    left = [record.spec for record in store.trials() if record.spec.id not in over]
+    course = course_of(store.directory)
+    competition = course.admitted(competition)
+    wanted = set(course.trials)
+    over = wanted & store.outcomes().keys()
+    left = [record.spec for record in store.trials() if record.spec.id in wanted - over]
     waiting = matches(competition, left, store.directory, gate)
     if waiting:
         _check_entrants(waiting)
-        executor = LocalExecutor(workers, MODULE, REPORTS)
+        executor = LocalExecutor(workers, MODULE, REPORTS, warm=[task.env for task in competition.tasks])
         with _Matches(store, waiting, len(over), say) as played, Interrupts() as interrupts:
             Dispatcher(executor, played, interrupts).run(match.spec.id for match in waiting)
-    return sum(record.failure is not None for record in store.trials())
+    return sum(record.failure is not None for record in store.trials() if record.spec.id in wanted)
 
 
 def _check_entrants(waiting: Iterable[Match]) -> None:
     for match in {match.entrant.name: match for match in waiting}.values():
-        starter = starter_for(match.entrant)
-        starter.check(match.entrant)
+        check(match.entrant, match.limits)
         if match.entrant.key is not None:
             gate_for(match.entrant, match.gate)
-        starter.sweep(match.run)
+        starter_for(match.entrant).sweep(match.run)
 
 
 class _Matches(Closing):
@@ -175,7 +205,7 @@ class _Matches(Closing):
         self._store = store
         self._matches: dict[str, Match] = {match.spec.id: match for match in matches}
         self._over = over
-        self._total = len(store.trials())
+        self._total = over + len(self._matches)
         self._say = say
         self._records: dict[str, RecordFile] = {}
         self._forfeits: dict[str, str] = {}
@@ -246,7 +276,14 @@ class _Matches(Closing):
 
 def _rules(competition: Competition) -> object:
     """Return the rules that are not part of the trials."""
-    return competition.limits, [(task.name, task.episodes, task.steps) for task in competition.tasks]
+    tasks = [(task.name, task.episodes, task.steps) for task in competition.tasks]
+    return competition.limits, competition.trials, tasks
+
+
+def _planned(spec: TrialSpec, course: Course) -> bool:
+    """Return whether a trial that a run lacks was planned from the start, and not by an act since."""
+    late = course.entrants[spec.id.parts[0]].act == ADD
+    return not late and spec.id not in course.reruns
 
 
 def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> str:

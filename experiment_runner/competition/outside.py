@@ -17,7 +17,7 @@ from glue.errors import ConfigError
 from glue.hub.config import Bind
 from glue.hub.keys import Keys, Permit
 from glue.keys.allowed import HUB
-from glue.keys.certificates import SECRET, read_pair, read_public
+from glue.keys.certificates import SECRET, encode, read_pair, read_public
 from glue.wire.messages import Role
 
 
@@ -36,19 +36,23 @@ def gate_for(entrant: Entrant, gate: Gate | None) -> Bind:
     agent, session = frozenset({Role.AGENT}), frozenset({entrant.name})
     pair = read_pair(gate.keys / f"{HUB}{SECRET}", "keys")
     permit = Permit(entrant.name, agent, session)
-    return Bind(gate.bind, agent, session, Keys(pair.secret, {read_public(entrant.key, "key"): permit}))
+    return Bind(
+        gate.bind, agent, session, Keys(pair.secret, {read_public(entrant.id or entrant.key, "key"): permit})
+    )
 
 
 class Outside:
     """Waits for entrants that are admitted by their key; see `Starter`."""
 
-    def check(self, entrant: Entrant) -> None:
-        """Check that the file of the key exists."""
+    def check(self, entrant: Entrant, limits: Limits) -> str:
+        """Return the public key, from its file unless the entrant has been admitted with it."""
+        if entrant.id:
+            return entrant.id
         if entrant.key is None or not entrant.key.is_file():
             raise ConfigError(
-                f"entrant {entrant.name}: there is no key {entrant.key}: ask its owner for the public key "
-                "that glue-keys new has made"
+                f"there is no key {entrant.key}: ask its owner for the public key that glue-keys new has made"
             )
+        return encode(read_public(entrant.key, "key"))
 
     def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Elsewhere:
         """Write to the log that the program is started elsewhere."""
@@ -65,13 +69,13 @@ class Outside:
 class InFolder(Outside):
     """Waits for entrants that find the hub's socket in a folder; access to the folder admits them."""
 
-    def check(self, entrant: Entrant) -> None:
+    def check(self, entrant: Entrant, limits: Limits) -> str:
         """Check that the folder exists."""
         if entrant.folder is None or not entrant.folder.is_dir():
             raise ConfigError(
-                f"entrant {entrant.name}: there is no folder {entrant.folder}: make it, and give "
-                "only the entrant's program access to it"
+                f"there is no folder {entrant.folder}: make it, and give only the entrant's program access"
             )
+        return ""
 
     def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Elsewhere:
         """Let any user connect; write to the log that the program is started elsewhere."""
@@ -83,6 +87,8 @@ class _Elsewhere:
     """An entrant's program on another machine; only its connection shows whether it is alive."""
 
     reason: str | None = None
+    lost: str | None = None
+    offence: str | None = None
 
     def __init__(self, log: Path) -> None:
         self.log = log

@@ -23,13 +23,13 @@ _STOP_SECONDS: Final = 5.0
 class Programs:
     """Starts trusted commands; see `experiment_runner.competition.starting.Starter`."""
 
-    def check(self, entrant: Entrant) -> None:
+    def check(self, entrant: Entrant, limits: Limits) -> str:
         """Check that the program exists."""
         if shutil.which(entrant.command[0]) is None:
             raise ConfigError(
-                f"entrant {entrant.name}: there is no program {entrant.command[0]!r} here: install it, or "
-                "name it with its path"
+                f"there is no program {entrant.command[0]!r} here: install it, or name it with its path"
             )
+        return ""
 
     def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Program:
         """Start the command."""
@@ -41,6 +41,9 @@ class Programs:
 
 class _Program:
     """A command and its keeper, see `experiment_runner.competition.keeper`."""
+
+    lost: str | None = None
+    offence: str | None = None
 
     def __init__(self, entrant: Entrant, limits: Limits, launch: Launch) -> None:
         self.log: Path = launch.log
@@ -60,7 +63,7 @@ class _Program:
             return None
         if status == CANNOT_START:
             return "could not be started, or has ended with status 127: its log says more"
-        return how_it_ended(status if status <= 128 else 128 - status)
+        return how_it_ended(status)
 
     def wait(self, seconds: float) -> bool:
         """Wait until the program ends, or for this many seconds; return whether it has ended."""

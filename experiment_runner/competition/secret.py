@@ -93,10 +93,10 @@ def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
             specs += [
                 TrialSpec(
                     id=TrialId.of(entrant.name, task.name, number),
-                    agent=RoleSpec(entrant.player, {}, entrant.name),
+                    agent=RoleSpec(entrant.player, {"id": entrant.id} if entrant.id else {}, entrant.name),
                     environment=environment,
                     episodes=task.episodes or task.steps,  # an episode has at least one step
-                    max_steps=0,
+                    max_steps=task.max_steps,
                     seed=seed,
                 )
                 for entrant in competition.entrants
@@ -104,15 +104,16 @@ def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
     return specs
 
 
-def public_trial(competition: Competition, entrant: str, episodes: int, max_steps: int) -> TrialSpec:
-    """Return a trial of the first task in which nothing is secret, for trying out an entrant.
+def public_trial(task: Task, entrant: str, episodes: int, max_steps: int) -> TrialSpec:
+    """Return a trial of a task in which nothing is secret, for trying out an entrant.
 
     Raises:
         ConfigError: as `trials`.
     """
-    task = competition.tasks[0]
     environment = _environment(task, None)
-    return TrialSpec(TrialId.of(entrant, "check", 0), RoleSpec(entrant), environment, episodes, max_steps, 0)
+    return TrialSpec(
+        TrialId.of(entrant, task.name, 0), RoleSpec(entrant), environment, episodes, max_steps, 0
+    )
 
 
 def agent_seed(spec: TrialSpec) -> int:

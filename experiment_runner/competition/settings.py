@@ -46,6 +46,7 @@ class Task:
         options: its constructor options, as in the file, without those drawn from the secret seed.
         episodes: number of episodes; 0 if `steps` limits the task.
         steps: number of steps, over as many episodes as it takes; 0 if `episodes` limits the task.
+        max_steps: the step limit of an episode, see `Experiment.rl_episode`; 0 for none.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Task:
     options: Mapping[str, Value] = field(default_factory=dict)
     episodes: int = 0
     steps: int = 0
+    max_steps: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +68,8 @@ class Entrant:
         key: the file of the public key of an entrant that connects from elsewhere.
         folder: a folder for programs that another tool starts, such as compose: one program for each trial,
             which finds the socket `hub` in the subfolder `TASK-TRIAL`.
+        id: what the name stood for when the entrant was admitted, and stands for throughout the run: the id
+            of its image, or its public key. Empty for others, and before that.
     """
 
     name: str
@@ -73,6 +77,7 @@ class Entrant:
     command: tuple[str, ...] = ()
     key: Path | None = None
     folder: Path | None = None
+    id: str = ""
 
     @property
     def player(self) -> str:

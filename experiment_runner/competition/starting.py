@@ -49,9 +49,14 @@ class Running(Protocol):
 
     Attributes:
         log: the file that receives its output.
+        lost: why its trial says nothing about the entrant, and is to be played again; None if it does.
+        offence: why its trial is forfeited although it was played to the end; None if it is not. Final once
+            the program was stopped.
     """
 
     log: Path
+    lost: str | None
+    offence: str | None
 
     @property
     def reason(self) -> str | None:
@@ -71,11 +76,11 @@ class Running(Protocol):
 class Starter(Protocol):
     """Starts entrants of one kind."""
 
-    def check(self, entrant: Entrant) -> None:
-        """Check, before a run begins, that the entrant can be started.
+    def check(self, entrant: Entrant, limits: Limits) -> str:
+        """Check, before a run begins or continues, that the entrant can be started; return its `Entrant.id`.
 
         Raises:
-            ConfigError: it cannot; the message is one line that says what to do.
+            ConfigError: it cannot; the message is one line that says what to do, and does not name it.
         """
         ...
 

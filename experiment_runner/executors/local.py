@@ -12,9 +12,8 @@ import contextlib
 import select
 import signal
 import socket
-import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import FrameType, TracebackType
 from typing import Any, Final, NoReturn, Self
 
@@ -33,11 +32,13 @@ from experiment_runner.executors.job import (
 from experiment_runner.meeting.children import (
     FAREWELL_SECONDS,
     HURRIED_SECONDS,
+    Child,
     end,
     has_ended,
     how_it_ended,
     start,
 )
+from experiment_runner.meeting.warm import Warm
 from glue.errors import ExperimentError
 
 _MODULE: Final = "experiment_runner.executors.local"
@@ -51,6 +52,8 @@ class LocalExecutor:
         size: maximum number of concurrent trials.
         module: the module that a worker runs; its `main` calls `serve`.
         reports: types of its reports by name; a worker's last report is `Ended`.
+        warm: arguments of the module's `prepare`, if workers are to be forked from a process that has called
+            it; None to start each anew.
     """
 
     def __init__(
@@ -58,14 +61,17 @@ class LocalExecutor:
         size: int,
         module: str = _MODULE,
         reports: Mapping[str, type[Any]] = REPORTS,
+        warm: Sequence[str] | None = None,
     ) -> None:
         self.size = size
         self._module = module
         self._reports = reports
         self._workers: dict[int, _Worker] = {}
         self._poll = select.poll()
-        self._leaving: list[subprocess.Popen[bytes]] = []
+        self._leaving: list[Child] = []
         self._stopping = False
+        self._arguments = warm
+        self._warm: Warm | None = None
 
     def start(self, job: HasTrial) -> None:
         """Run a trial.
@@ -73,9 +79,16 @@ class LocalExecutor:
         Raises:
             ExperimentError: the process cannot be started.
         """
-        worker = _Worker(job.spec.id, self._module, encode(job), self._reports)
+        if self._arguments is not None and self._warm is None:
+            self._warm = Warm(self._module, self._arguments)
+        worker = _Worker(job.spec.id, self._launch, encode(job), self._reports)
         self._workers[worker.descriptor] = worker
         self._poll.register(worker.descriptor, select.POLLIN)
+
+    def _launch(self, descriptor: int) -> Child:
+        if self._warm is not None:
+            return self._warm.start(descriptor)
+        return start(self._module, [str(descriptor)], pass_fds=[descriptor])
 
     def receive(self, seconds: float) -> list[tuple[str, Any]]:
         """Return reports with the ids of their trials, in order for each trial; wait at most `seconds`."""
@@ -114,17 +127,25 @@ class LocalExecutor:
         interrupted = kind is not None and issubclass(kind, KeyboardInterrupt)
         for process in self._leaving:
             end(process, HURRIED_SECONDS if interrupted else FAREWELL_SECONDS)
+        if self._warm is not None:
+            self._warm.close()
 
 
 class _Worker:
     """A process that runs one trial, and our end of its socket."""
 
-    def __init__(self, trial_id: str, module: str, job: bytes, reports: Mapping[str, type[Any]]) -> None:
+    def __init__(
+        self,
+        trial_id: str,
+        launch: Callable[[int], Child],
+        job: bytes,
+        reports: Mapping[str, type[Any]],
+    ) -> None:
         self.trial_id = trial_id
         self._reports = reports
         self._socket, theirs = socket.socketpair()
         with theirs:
-            self.process = start(module, [str(theirs.fileno())], pass_fds=[theirs.fileno()])
+            self.process = launch(theirs.fileno())
         self.descriptor = self._socket.fileno()
         self._unpacker = unpacker()
         with contextlib.suppress(OSError):  # the process has ended already, which `read` will detect

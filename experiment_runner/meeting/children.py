@@ -14,7 +14,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Final, Self
+from typing import IO, Any, Final, Protocol, Self
 
 from experiment_runner.meeting.watchdog import spawn, watch_parent
 from glue.errors import ExperimentError
@@ -32,6 +32,21 @@ _MAX_DEATHS: Final = 3
 """Number of times that a player may be killed without progress before it is given up."""
 
 
+class Child(Protocol):
+    """A child process: a `subprocess.Popen`, or an `experiment_runner.meeting.warm.Fork`."""
+
+    stdin: IO[bytes] | None
+    returncode: int | Any
+
+    def poll(self) -> int | None: ...
+
+    def wait(self, timeout: float | None = None) -> int: ...
+
+    def terminate(self) -> None: ...
+
+    def kill(self) -> None: ...
+
+
 def start(module: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
     """Start a module as a child that ends when this process does.
 
@@ -44,7 +59,7 @@ def start(module: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -
         raise ExperimentError(f"cannot start {' '.join([module, *arguments])}: {error}") from error
 
 
-def end(process: subprocess.Popen[bytes], seconds: float = FAREWELL_SECONDS) -> None:
+def end(process: Child, seconds: float = FAREWELL_SECONDS) -> None:
     """Wait for a child that was asked to exit; after `seconds` terminate it, then kill it."""
     for insist in (process.terminate, process.kill):
         try:
@@ -55,7 +70,7 @@ def end(process: subprocess.Popen[bytes], seconds: float = FAREWELL_SECONDS) -> 
     _close_pipe(process)
 
 
-def has_ended(process: subprocess.Popen[bytes]) -> bool:
+def has_ended(process: Child) -> bool:
     """Return whether a child has ended; if so, it need not be passed to `end`."""
     if process.poll() is None:
         return False
@@ -68,7 +83,7 @@ def how_it_ended(status: int) -> str:
     return f"ended with status {status}" if status >= 0 else f"was killed by signal {-status}"
 
 
-def _close_pipe(process: subprocess.Popen[bytes]) -> None:
+def _close_pipe(process: Child) -> None:
     assert process.stdin is not None
     process.stdin.close()
 
@@ -185,11 +200,16 @@ class _Child:
             self._say(f"{how}; it is being restarted")
 
 
-def main() -> None:
-    """Run a module as a program that ends with its parent."""
+def become_child() -> None:
+    """Make this process end when its parent does."""
     watch_parent(lambda: os._exit(1))
     if "PYTHONBREAKPOINT" not in os.environ:
         sys.breakpointhook = _refuse_breakpoint
+
+
+def main() -> None:
+    """Run a module as a program that ends with its parent."""
+    become_child()
     module, *arguments = sys.argv[1:]
     sys.argv = [module, *arguments]
     runpy.run_module(module, run_name="__main__", alter_sys=True)

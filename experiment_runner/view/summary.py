@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from experiment_runner.competition.board.forms import LEGEND, as_json
 from experiment_runner.competition.board.standings import standings
-from experiment_runner.competition.organiser import competition_of
+from experiment_runner.competition.course import course_of
 from experiment_runner.report.overview import as_object
 from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, PLAN_FILE
 from experiment_runner.store.results import Results
@@ -56,9 +56,11 @@ def standings_of(directory: Path) -> dict[str, Any]:
         ExperimentError: the directory holds no competition, or cannot be read.
     """
     with Results.open(directory) as results:
-        found = standings(results, competition_of(directory))
+        course = course_of(directory)
+        found = standings(results, course)
         board: dict[str, Any] = json.loads(as_json(found))
-        progress = {"matches": len(results.trials()), "over": len(results.outcomes())}
+        over = results.outcomes()
+        progress = {"matches": len(course.trials), "over": sum(trial in over for trial in course.trials)}
         return board | progress | {"legend": LEGEND, "figures": figures(found)}
 
 

@@ -124,7 +124,7 @@ class TimeLimits:
     step_seconds: float = 1.0
     bank_seconds: float = 60.0
     start_seconds: float = 30.0
-    total_seconds: float = 3600.0
+    total_seconds: float = 600.0
 
     def __post_init__(self) -> None:
         for name in ("step_seconds", "bank_seconds", "start_seconds", "total_seconds"):

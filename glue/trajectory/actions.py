@@ -26,6 +26,8 @@ from glue.types import Action
 _COUNTS: Final = struct.Struct("<III")
 
 _MAX_ACTIONS_SIZE: Final = 2**23
+_STEP_SIZE: Final = 32
+"""Maximum bytes of a step besides its action: two indices, a reward, and the counts of its block."""
 """Bytes of distinct actions after which the writer ends a block."""
 
 
@@ -87,7 +89,8 @@ class ActionWriter:
         self._pack = zlib.compressobj(wbits=GZIP)
         self._has_run = False
         self._in_episode = False
-        self._size = 0  # bytes of the episode so far, at least
+        self._size = 0  # bytes of the episode's blocks
+        self._open = 0  # bytes of the open block, at most
         self._actions: dict[bytes, int] = {}
         self._actions_size = 0
         self._choices = array("I")
@@ -126,14 +129,16 @@ class ActionWriter:
         """
         if not self._in_episode:
             raise LocalProtocolError("no episode is open: a recording needs start() before its steps")
-        if len(action) > limits.MAX_BODY or self._size > limits.MAX_EPISODE:
+        if len(self._choices) == limits.MAX_BLOCK or self._actions_size >= _MAX_ACTIONS_SIZE:
+            self._end_block()
+        choice = self._actions.get(action)
+        size = self._open + _STEP_SIZE + (len(action) if choice is None else 0)
+        if len(action) > limits.MAX_BODY or self._size + size > limits.MAX_EPISODE:
             raise LocalProtocolError(
                 f"an action of more than {limits.MAX_BODY} bytes or an episode of more than "
                 f"{limits.MAX_EPISODE} bytes cannot be recorded"
             )
-        if len(self._choices) == limits.MAX_BLOCK or self._actions_size >= _MAX_ACTIONS_SIZE:
-            self._end_block()
-        choice = self._actions.get(action)
+        self._open = size
         if choice is None:
             choice = self._actions[action] = len(self._actions)
             self._actions_size += len(action)
@@ -156,6 +161,7 @@ class ActionWriter:
         if self._choices:
             record = _block_record(tuple(self._actions), self._choices, self._rewards)
             self._size += len(record)
+            self._open = 0
             self._write(record)
             self._actions.clear()
             self._actions_size = 0

@@ -198,34 +198,6 @@ def test_canonical_text_is_printed_as_it_was(text: str) -> None:
     assert str(parse_task_spec(text)) == text
 
 
-def test_published_text_with_everything_is_read() -> None:
-    spec = parse_task_spec(
-        "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR .7 OBSERVATIONS "
-        "INTS (NEGINF 1)( 2 -5 POSINF ) DOUBLES (2 -1.2 0.5 )(-.07 .07) (UNSPEC 3.3) (0 100.5) CHARCOUNT 32 "
-        "ACTIONS INTS (5 0 4) DOUBLES (-.5 2) (2 7.8 9)(NEGINF UNSPEC) CHARCOUNT 8 REWARDS (-5.0 5.0) "
-        "EXTRA some other stuff goes here"
-    )
-    assert spec == TaskSpec(
-        version="RL-Glue-3.0",
-        problem_type="episodic",
-        discount=0.7,
-        observations=Space(
-            Ranges.of(Range(NEGINF, 1), Range(-5, POSINF), Range(-5, POSINF)),
-            Ranges.of(
-                Range(-1.2, 0.5), Range(-1.2, 0.5), Range(-0.07, 0.07), Range(UNSPEC, 3.3), Range(0, 100.5)
-            ),
-            32,
-        ),
-        actions=Space(
-            Ranges(((5, Range(0, 4)),)),
-            Ranges.of(Range(-0.5, 2), Range(7.8, 9), Range(7.8, 9), Range(NEGINF, UNSPEC)),
-            8,
-        ),
-        rewards=Range(-5, 5),
-        extra="some other stuff goes here",
-    )
-
-
 def test_mario_of_the_competition_is_read() -> None:
     spec = parse_task_spec(
         "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 ACTIONS INTS (-1 1) (2 0 1)  "

@@ -513,6 +513,7 @@ def test_programs_of_the_documentation_run(
     assert capsys.readouterr().out == "corridor 2 9.0 terminal\ncorridor 0 0.0 cutoff\nGROSTOC\n"
 
 
+@pytest.mark.stage("attacks")
 def test_small_steps_take_little_more_memory_than_their_bytes(tmp_path: Path) -> None:
     step = b"S" + b"\0" * 8 + EMPTY * 2
     write_stream(tmp_path / "many", run_record(), b"O" + EMPTY, step * 50_000, b"V")

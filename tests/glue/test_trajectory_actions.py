@@ -81,6 +81,7 @@ def test_round_trip(recorded: list[tuple[Steps, Ending]], tmp_path_factory: pyte
         ]
 
 
+@pytest.mark.stage("attacks")
 def test_a_long_episode_has_several_blocks(tmp_path: Path) -> None:
     steps: Steps = [(Action([i]), float(i)) for i in range(2 * limits.MAX_BLOCK + 5)]
     long, short = TrajectoryReader(
@@ -128,8 +129,12 @@ def test_a_recording_that_was_cut_anywhere_is_torn_or_refused(tmp_path: Path) ->
             assert reader.torn
 
 
-def test_a_writer_used_out_of_order_or_over_a_limit_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
-    writer = ActionWriter(lambda piece: None)
+def test_a_writer_used_out_of_order_or_over_a_limit_refuses(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """What it has written until then can be read, with the same limit."""
+    pieces: list[bytes] = []
+    writer = ActionWriter(pieces.append)
     with pytest.raises(LocalProtocolError):
         writer.start()
     writer.run(RUN)
@@ -137,13 +142,16 @@ def test_a_writer_used_out_of_order_or_over_a_limit_refuses(monkeypatch: pytest.
         writer.step(NOTHING, 0.0)
     writer.start()
     monkeypatch.setattr(limits, "MAX_BLOCK", 2)
-    monkeypatch.setattr(limits, "MAX_EPISODE", 30)
-    for _ in range(3):
-        writer.step(NOTHING, 0.0)
-    with pytest.raises(LocalProtocolError):
-        writer.step(NOTHING, 0.0)
+    monkeypatch.setattr(limits, "MAX_EPISODE", 2**20)
+    for step in range(104):
+        writer.step(Action([step], chars=b"x" * 10_000).body, step)
+    with pytest.raises(LocalProtocolError, match="episode of more than 1048576 bytes"):
+        writer.step(Action([104], chars=b"x" * 10_000).body, 0.0)
     writer.start()
     writer.step(NOTHING, 0.0)
+    writer.close()
+    (tmp_path / "a").write_bytes(b"".join(pieces))
+    assert [len(episode.steps) for episode in TrajectoryReader(tmp_path / "a")] == [104, 1]
 
 
 def block(n: int, k: int, m: int, *fields: bytes) -> bytes:

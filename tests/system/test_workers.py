@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.store.results import Results
-from tests.system.runs import COMMAND, Contents, alive, children, contents, run, wait_until
+from tests.system.runs import COMMAND, SLOW_AGENT, Contents, alive, children, contents, run, wait_until
 from tests.terminal import Terminal
 
 FAULTY = '''
@@ -194,13 +195,25 @@ def running(*arguments: object, cwd: Path) -> Iterator[Terminal]:
         terminal.close()
 
 
-INTERRUPTED = (*SARSA, "--episodes", 400, "--trials", 2)
+INTERRUPTED = (
+    *(*MINES, "--agent", "slow.py:Slow", "--episodes", 40, "--trials", 2),
+    *("--agent-option", "while_there=there", "--agent-option", "pause=0.05"),
+)
+
+
+@pytest.fixture
+def slowed(tmp_path: Path) -> Path:
+    """Return a folder in which that run lasts for two seconds."""
+    shutil.copy(SLOW_AGENT, tmp_path)
+    (tmp_path / "there").touch()
+    return tmp_path
 
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     """Return the results of the run that is interrupted below, without interruptions."""
     folder = tmp_path_factory.mktemp("undisturbed")
+    shutil.copy(SLOW_AGENT, folder)
     assert run(*INTERRUPTED, "--in-process", "--out", "run", cwd=folder).returncode == 0
     return contents(folder / "run")
 
@@ -215,9 +228,9 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     ],
 )
 def test_interrupted_run_leaves_nobody_and_goes_on(
-    tmp_path: Path, how: tuple[object, ...], number: signal.Signals, code: int, undisturbed: Contents
+    slowed: Path, how: tuple[object, ...], number: signal.Signals, code: int, undisturbed: Contents
 ) -> None:
-    with running(*INTERRUPTED, *how, "--checkpoint-every", 1000, cwd=tmp_path) as terminal:
+    with running(*INTERRUPTED, *how, "--checkpoint-every", 1000, cwd=slowed) as terminal:
         everybody = children(terminal.process.pid)
         terminal.send_signal(number)  # players and workers have process groups of their own
         assert terminal.end() == code, terminal.lines
@@ -226,8 +239,8 @@ def test_interrupted_run_leaves_nobody_and_goes_on(
     assert errors.count("interrupted") == 1, errors
     assert "Traceback" not in errors
     assert not any(map(alive, everybody))
-    assert run("--resume", "run", "--in-process", cwd=tmp_path).returncode == 0
-    assert contents(tmp_path / "run") == undisturbed
+    assert run("--resume", "run", "--in-process", "--trust", cwd=slowed).returncode == 0
+    assert contents(slowed / "run") == undisturbed
 
 
 def test_second_run_into_a_directory_is_refused(tmp_path: Path) -> None:

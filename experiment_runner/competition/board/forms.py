@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import Final
 
 from experiment_runner.competition.board.standings import Standing, Standings
+from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
 from experiment_runner.report.tables import format_table
 from experiment_runner.store.output import csv_row, finite
 from glue.console import one_line
@@ -24,6 +25,12 @@ LEGEND: Final = (
 def number(value: float) -> str:
     """Return a score as text."""
     return f"{value:,.2f}"
+
+
+def told(one: Act) -> str:
+    """Return an act of the organiser as one line."""
+    did = {ADD: "added", EXCLUDE: "excluded", RERUN: "played again"}.get(one.act, one.act)
+    return f"{did}: {one_line(one.subject)}, {one_line(one.time)}: {one_line(one.reason)}"
 
 
 def as_text(board: Standings, width: int | None = None) -> str:
@@ -46,6 +53,8 @@ def as_text(board: Standings, width: int | None = None) -> str:
         for standing in board.entrants
         for forfeit in standing.forfeits
     ]
+    notes += [told(one) for one in board.acts]
+    notes += [f"{one.name} is {one_line(one.player)}, {one.id}" for one in board.entrants if one.id]
     if notes:
         parts.append("\n".join(notes))
     parts += ["\n".join(LEGEND), one_line(board.program)]
@@ -62,7 +71,9 @@ def as_csv(board: Standings) -> str:
     header = ["place", "entrant", "mean_rank", "place_by_total", "total", "low", "high"]
     for task in board.tasks:
         header += [f"score {task}", f"rank {task}"]
-    writer.writerow([*header, "forfeits", "no_place", "program", *(["seeds"] if board.seeds else [])])
+    writer.writerow(
+        [*header, "forfeits", "no_place", "player", "id", "program", *(["seeds"] if board.seeds else [])]
+    )
     seeds = [json.dumps([asdict(seed) for seed in board.seeds])] if board.seeds else []
     for standing in board.entrants:
         row: list[object] = [standing.place, standing.name]
@@ -73,7 +84,8 @@ def as_csv(board: Standings) -> str:
             for task in board.tasks:
                 row += [standing.tasks[task].score, standing.tasks[task].rank]
         forfeits = "; ".join(f"{lost.task}/{lost.trial}: {lost.reason}" for lost in standing.forfeits)
-        writer.writerow(csv_row([*row, forfeits, standing.missing, board.program, *seeds]))
+        texts = (forfeits, standing.missing, standing.player, standing.id, board.program)
+        writer.writerow(csv_row([*row, *texts, *seeds]))
     return text.getvalue()
 
 

@@ -18,11 +18,11 @@ from typing import Final
 import numpy as np
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+from experiment_runner.competition.course import Course
+from experiment_runner.competition.records.journal import ENTER, Act
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.seal import broken
-from experiment_runner.competition.settings import Competition
 from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.layout import ABOUT_FILE
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
@@ -80,6 +80,8 @@ class Standing:
         tasks: by name.
         forfeits: trials that the entrant did not play to the end.
         missing: short reason for having no place.
+        player: what its settings name: an image, a command, the file of a key, a folder.
+        id: what that name stood for: the image's id, or the public key; empty for others.
     """
 
     name: str
@@ -92,6 +94,8 @@ class Standing:
     tasks: Mapping[str, TaskScore] = field(default_factory=dict)
     forfeits: tuple[Forfeit, ...] = ()
     missing: str = ""
+    player: str = ""
+    id: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +118,7 @@ class Standings:
         entrants: those with a place first, by place.
         program: name and version of the program that held it.
         seeds: the seeds of the trials, if they are revealed.
+        acts: of its organiser, since the start.
     """
 
     competition: str
@@ -121,14 +126,15 @@ class Standings:
     entrants: tuple[Standing, ...]
     program: str
     seeds: tuple[Seed, ...] = ()
+    acts: tuple[Act, ...] = ()
 
 
-def standings(results: Results, competition: Competition, reveal: bool = False) -> Standings:
+def standings(results: Results, course: Course, reveal: bool = False) -> Standings:
     """Return the standings of a competition's run, which may be under way.
 
     Args:
         results: of the run.
-        competition: its tasks and entrants.
+        course: its tasks, entrants and acts.
         reveal: whether to include the seeds of the trials.
 
     Raises:
@@ -139,23 +145,25 @@ def standings(results: Results, competition: Competition, reveal: bool = False) 
             f"{changed} were changed since they were written: put them back in {results.directory}, or try "
             f"glue-compete verify {results.directory}"
         )
+    competition = course.competition
     tasks = tuple(task.name for task in competition.tasks)
-    specs = [record.spec for record in results.trials()]
-    lowest = _lowest(results)
+    excluded, counting = course.excluded, course.counting
+    lowest = _lowest(
+        results, {trial: counting[trial] for trial in counting if trial.parts[0] not in excluded}
+    )
     found = {
-        entrant.name: _Entrant(results, entrant.name, tasks, competition.trials, lowest)
-        for entrant in competition.entrants
+        name: _Entrant(results, admitted, excluded.get(name), tasks, lowest)
+        for name, admitted in course.entrants.items()
     }
-    for spec in specs:
-        name = spec.id.parts[0]
-        if name in found:
-            found[name].add(spec)
+    for planned, trial in counting.items():
+        found[planned.parts[0]].add(planned, trial)
     return Standings(
         competition.name,
         tasks,
         _placed(list(found.values()), tasks),
         _program(results.directory),
-        tuple(_seeds(specs, competition)) if reveal else (),
+        tuple(_seeds(results, course)) if reveal else (),
+        tuple(one for one in course.acts if one.act != ENTER),
     )
 
 
@@ -166,13 +174,14 @@ def ranks(scores: Sequence[float]) -> list[float]:
     return [first + (count + 1) / 2 for first, count in zip(above, equal, strict=True)]
 
 
-def _lowest(results: Results) -> dict[tuple[str, int], float]:
+def _lowest(results: Results, counting: Mapping[TrialId, TrialId]) -> dict[tuple[str, int], float]:
     """Return the lowest verified score of trials played to the end, by task and number of the trial."""
     lowest: dict[tuple[str, int], float] = {}
-    outcomes = results.outcomes()
-    for trial_id, verdict in results.verdicts().items():
-        if trial_id in outcomes and outcomes[trial_id].reason is None and verdict.problem is None:
-            _, task, number = TrialId(trial_id).parts
+    outcomes, verdicts = results.outcomes(), results.verdicts()
+    for planned, trial in counting.items():
+        outcome, verdict = outcomes.get(trial), verdicts.get(trial)
+        if outcome and outcome.reason is None and verdict and verdict.problem is None:
+            _, task, number = planned.parts
             lowest[task, number] = min(verdict.score, lowest.get((task, number), math.inf))
     return lowest
 
@@ -183,25 +192,27 @@ class _Entrant:
     def __init__(
         self,
         results: Results,
-        name: str,
+        admitted: Act,
+        excluded: str | None,
         tasks: Sequence[str],
-        trials: int,
         lowest: Mapping[tuple[str, int], float],
     ) -> None:
-        self.name = name
+        self.admitted = admitted
+        self.name = admitted.subject
         self.scores: dict[str, list[float]] = {task: [] for task in tasks}
         self.curves: dict[str, list[FloatArray]] = {task: [] for task in tasks}
         self.forfeits: list[Forfeit] = []
         self._results = results
+        self._excluded = excluded
         self._lowest = lowest
-        self._expected = trials * len(tasks)
         self._outcomes = results.outcomes()
         self._verdicts = results.verdicts()
         self._missing: list[str] = []
 
-    def add(self, spec: TrialSpec) -> None:
-        _, task, number = spec.id.parts
-        outcome, verdict = self._outcomes.get(spec.id), self._verdicts.get(spec.id)
+    def add(self, planned: TrialId, trial: TrialId) -> None:
+        """Add a trial of the competition: what it scores is decided by the trial that counts for it."""
+        _, task, number = planned.parts
+        outcome, verdict = self._outcomes.get(trial), self._verdicts.get(trial)
         if outcome is None:
             self._missing.append("not played to the end yet")
             return
@@ -211,25 +222,23 @@ class _Entrant:
             self._missing.append("not verified yet: glue-compete verify does it")
         elif verdict.problem is not None:
             self._missing.append(f"not verified: {verdict.problem}")
-        elif _digest(record_path(self._results.directory, spec.id)) != verdict.digest:
+        elif _digest(record_path(self._results.directory, trial)) != verdict.digest:
             self._missing.append("changed since it was verified")
         else:
             forfeited = outcome.reason is not None
             most = self._lowest.get((task, number), math.inf) if forfeited else math.inf
             self.scores[task].append(min(verdict.score, most))
             if not forfeited:
-                self.curves[task].append(_curve(self._results.episodes(spec.id)))
+                self.curves[task].append(_curve(self._results.episodes(trial)))
 
     @property
     def missing(self) -> str:
         """Reason for having no place; empty if the entrant has one."""
-        if self._missing:
-            return (
-                self._missing[0]
-                if len(self._missing) == 1
-                else f"{len(self._missing)} trials: {self._missing[0]}"
-            )
-        return "" if sum(map(len, self.scores.values())) == self._expected else "trials are missing"
+        if self._excluded is not None:
+            return f"excluded: {self._excluded}"
+        if len(self._missing) > 1:
+            return f"{len(self._missing)} trials: {self._missing[0]}"
+        return self._missing[0] if self._missing else ""
 
 
 def _placed(entrants: list[_Entrant], tasks: Sequence[str]) -> tuple[Standing, ...]:
@@ -261,11 +270,20 @@ def _placed(entrants: list[_Entrant], tasks: Sequence[str]) -> tuple[Standing, .
                 high,
                 scores,
                 tuple(entrant.forfeits),
+                "",
+                entrant.admitted.player,
+                entrant.admitted.id,
             )
         )
     placed.sort(key=lambda standing: (standing.mean_rank, -standing.total, standing.name))
     others = [
-        Standing(entrant.name, forfeits=tuple(entrant.forfeits), missing=entrant.missing)
+        Standing(
+            entrant.name,
+            forfeits=tuple(entrant.forfeits),
+            missing=entrant.missing,
+            player=entrant.admitted.player,
+            id=entrant.admitted.id,
+        )
         for entrant in entrants
         if entrant.missing
     ]
@@ -302,14 +320,14 @@ def _digest(path: Path) -> bytes:
     return digest(path) if path.is_file() else b""
 
 
-def _seeds(specs: Sequence[TrialSpec], competition: Competition) -> list[Seed]:
-    first = competition.entrants[0].name
-    seeds = []
-    for spec in specs:
-        name, task, number = spec.id.parts
-        if name == first and spec.environment is not None:
-            seeds.append(Seed(task, number, spec.seed, spec.environment.options))
-    return seeds
+def _seeds(results: Results, course: Course) -> list[Seed]:
+    planned = {trial.parts[1:]: trial for trial in course.counting if trial not in course.reruns}
+    specs = {record.spec.id: record.spec for record in results.trials()}
+    return [
+        Seed(task, number, specs[trial].seed, environment.options)
+        for (task, number), trial in planned.items()
+        if trial in specs and (environment := specs[trial].environment) is not None
+    ]
 
 
 def _program(directory: Path) -> str:

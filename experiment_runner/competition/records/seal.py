@@ -1,21 +1,32 @@
 """The seal of a competition: digests of everything that its board shows, in the run's file `seal.json`.
 
-`played` covers the competition's file, the trials and their outcomes, and is renewed with each outcome;
-`verified` covers each verdict and the episodes behind it. An edit of the directory breaks the seal. Anyone
-who may write to the directory can also make a new seal; only a signature shows who made it.
+`played` covers the competition's file, the journal, the trials and their outcomes, and is renewed with each
+act of the organiser and each outcome; `verified` covers each verdict and the episodes behind it. An edit of
+the directory breaks the seal. Anyone who may write to the directory can also make a new seal; only a
+signature shows who made it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
+from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.journal import Act
+from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import KEPT, reported
-from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, SEAL_FILE, replace_flushed
+from experiment_runner.store.layout import (
+    ABOUT_FILE,
+    COMPETITION_FILE,
+    JOURNAL_FILE,
+    SEAL_FILE,
+    replace_flushed,
+)
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
@@ -32,8 +43,21 @@ def seal(store: Store) -> bool:
     sealed = (store.directory / SEAL_FILE).exists()
     if not sealed:
         verified = {name: [_verified(store, name, verdict)] for name, verdict in store.verdicts().items()}
-        _write(store.directory, {"played": [_played(store, {})], "verified": verified})
+        _write(store.directory, {"played": [_played(store)], "verified": verified})
     return sealed
+
+
+def record_acts(store: Store, acts: Sequence[Act]) -> None:
+    """Append acts to the journal, and renew the seal as `record_outcome` does."""
+    added = journal.content(store.directory) + journal.text_of(acts).encode()
+    _renew(store, _played(store, acts=added))
+    journal.append(store.directory, acts)
+
+
+def add_trials(store: Store, specs: Sequence[TrialSpec]) -> None:
+    """Store further trials, for which acts of the journal call, and renew the seal in the same way."""
+    _renew(store, _played(store, specs=specs))
+    store.extend(specs)
 
 
 def record_outcome(store: Store, trial_id: str, outcome: TrialEnd) -> None:
@@ -42,10 +66,15 @@ def record_outcome(store: Store, trial_id: str, outcome: TrialEnd) -> None:
     The new digest is written before the outcome, and the old one is kept with it: a process that is killed
     between the two leaves a valid seal.
     """
-    found = _read(store.directory)
-    found["played"] = [_played(store, {}), _played(store, {trial_id: outcome})]
-    _write(store.directory, found)
+    _renew(store, _played(store, {trial_id: outcome}))
     store.record_outcome(trial_id, outcome)
+
+
+def _renew(store: Store, digest: str) -> None:
+    """Replace the digest of what was played, keeping the present one beside it."""
+    found = _read(store.directory)
+    found["played"] = [_played(store), digest]
+    _write(store.directory, found)
 
 
 def record_verdict(store: Store, trial_id: str, verdict: ReplayVerdict) -> None:
@@ -82,10 +111,10 @@ def broken(results: Results) -> str:
     verdicts = results.verdicts()
     # While a competition is held, an outcome may be stored between reading the seal and the database.
     for found in (_read(directory) for _ in range(_TRIES)):
-        if _played(results, {}) in found["played"]:
+        if _played(results) in found["played"]:
             break
     else:
-        return f"{COMPETITION_FILE}, {ABOUT_FILE}, the trials or their outcomes"
+        return f"{COMPETITION_FILE}, {ABOUT_FILE}, {JOURNAL_FILE}, the trials or their outcomes"
     for name, verdict in verdicts.items():
         if _verified(results, name, verdict) not in found["verified"].get(name, ()):
             return f"the verdict or the episodes of {name}"
@@ -110,12 +139,21 @@ def _message(found: dict[str, Any]) -> bytes:
     return b"glue-compete seal 1\n" + _digest(found["played"][-1], last).encode()
 
 
-def _played(results: Results, new: dict[str, TrialEnd]) -> str:
-    outcomes = results.outcomes() | new
+def _played(
+    results: Results,
+    outcomes: Mapping[str, TrialEnd] = MappingProxyType({}),
+    specs: Sequence[TrialSpec] = (),
+    acts: bytes | None = None,
+) -> str:
+    """Return the digest of what was played, with more outcomes, more trials, or another journal."""
+    files = [_content(results.directory / name) for name in _FILES]
+    if acts := journal.content(results.directory) if acts is None else acts:  # version 0.3 had no journal
+        files.append(acts)
+    ended = {**results.outcomes(), **outcomes}
     return _digest(
-        [hashlib.sha256(_content(results.directory / name)).hexdigest() for name in _FILES],
-        [asdict(record.spec) for record in results.trials()],
-        {name: [outcome.reason, outcome.digest.hex()] for name, outcome in outcomes.items()},
+        [hashlib.sha256(file).hexdigest() for file in files],
+        [asdict(spec) for spec in (*(record.spec for record in results.trials()), *specs)],
+        {name: [outcome.reason, outcome.digest.hex()] for name, outcome in ended.items()},
     )
 
 

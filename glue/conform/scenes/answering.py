@@ -257,9 +257,17 @@ def exception(kit: PlayerHarness) -> None:
 
 
 def _left(kit: PlayerHarness) -> bool:
-    """Return whether the client left after an ERROR, as it may."""
+    """Return whether the client left after an ERROR, as it may: it must leave, or answer the next call."""
+    exchange = kit.step(SHOWN)
+    expected = f"{described(exchange.expected)}, or its end"
     try:
-        if kit.heard() is None:
+        kit.connection.send(exchange.frames)
+        frames = kit.heard(kit.wait)
+        if frames is None:
+            raise Broken(expected, f"nothing in {kit.wait:g} s")
+        got = kit.decoded(frames, expected)
+        if got.kind is not Kind.GOODBYE:
+            kit.matches(exchange.expected, got, frames)
             return False
         kit.connection.ends(kit.wait)
     except Gone:

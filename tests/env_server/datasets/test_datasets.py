@@ -16,6 +16,8 @@ from glue.types import Action, Observation
 from tests import forked
 from tests.env_server.replay.test_replay import GOLDEN
 
+pytestmark = pytest.mark.stage("docs")
+
 parquet = pytest.importorskip("pyarrow.parquet")
 minari = pytest.importorskip("minari")
 spaces = pytest.importorskip("gymnasium").spaces

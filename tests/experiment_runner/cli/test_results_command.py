@@ -113,9 +113,9 @@ def test_show_has_a_line_for_each_setting(run: Path) -> None:
     lines = call("show", run).splitlines()
     header = next(i for i, line in enumerate(lines) if line.startswith("setting"))
     random, sarsa = (line.split() for line in lines[header + 1 : header + 3])
-    # random's trials average 2.5/8 and 10 + 2.5/8, sarsa's 20 + 2.5/8 and, so far, 30 + 2/8
+    # random's trials average 2.5/8 and 10 + 2.5/8, sarsa's finished one 20 + 2.5/8
     assert random == ["random", "2/2", "8", "5.31", "0.31", "to", "10.31", "(!)", "5.31", "-"]
-    assert sarsa == ["sarsa", "1/2", "7", "25.28", "20.31", "to", "30.25", "(!)", "25.28", "-"]
+    assert sarsa == ["sarsa", "1/2", "4", "20.31", "-", "20.31", "-"]
 
 
 def test_show_sorts_the_settings_of_several_runs(run: Path, tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_list_and_show_as_json_are_for_scripts(run: Path, tmp_path: Path) -> Non
     assert listed.items() <= shown.items()
     assert [(s["setting"], s["finished_trials"], s["mean"]) for s in shown["settings"]] == [
         ("random", 2, 5.3125),
-        ("sarsa", 1, None),  # JSON has no infinity
+        ("sarsa", 1, 20.3125),  # without the failed trial
     ]
     assert shown["settings"][0]["low"] == 0.3125
     assert [t["failure"] for t in shown["trial_records"]] == [None, None, None, "no"]
@@ -298,6 +298,8 @@ def test_unusual_returns_and_mixed_options_are_exported(tmp_path: Path) -> None:
             store.record(spec.id, EpisodeResult(1, value, 1, True, 0.0))
     text = call("export", tmp_path / "run", "--format", "json")
     assert [row["return"] for row in json.loads(text)] == [None, None, None, 0.1 + 0.2]
+    shown = json.loads(call("show", tmp_path / "run", "--json"), parse_constant=pytest.fail)
+    assert [row["mean"] for row in shown["settings"]] == [None, None, None, 0.1 + 0.2]
     assert [row["return"] for row in csv.DictReader(io.StringIO(call("export", tmp_path / "run")))] == [
         *("nan", "inf", "-inf", "0.30000000000000004")
     ]
@@ -512,7 +514,7 @@ def test_table_of_a_paper_is_in_latex_or_markdown(run: Path) -> None:
 def test_comparison_of_few_trials_says_so(run: Path, tmp_path: Path) -> None:
     other = make(tmp_path / "other", [4, 4, 4, 4])
     *_, last, note = call("compare", run, other).splitlines()
-    assert " 2 (!) " in last
+    assert " 1 (!) " in last  # of the two, one is not finished
     assert note == "((!) fewer than 5 trials: their intervals are too narrow)"
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from experiment_runner.competition.match import Match, play
 from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
-from experiment_runner.competition.starting import Launch
+from experiment_runner.competition.starting import Launch, Running
 from glue.client.players import serve_agent
 from glue.errors import GlueError
 from glue.hub.config import TimeLimits
@@ -47,23 +47,28 @@ class Walker(Agent):
 class InThread:
     """Starts an agent in a thread, which joins over its launch's socket; an agent of None never joins."""
 
-    def __init__(self, agent: Any) -> None:
+    def __init__(self, agent: Any, running: Callable[[Any, Launch], Running] | None = None) -> None:
         self.agent = agent
+        self.running = running or Thread
         self.launches: list[Launch] = []
 
-    def check(self, entrant: Entrant) -> None:
-        pass
+    def check(self, entrant: Entrant, limits: Limits) -> str:
+        return ""
 
-    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Thread:
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Running:
         self.launches.append(launch)
-        return _Thread(self.agent, launch)
+        return self.running(self.agent, launch)
 
     def sweep(self, run: str) -> None:
         pass
 
 
-class _Thread:
+class Thread:
+    """An agent that serves in a thread of the test."""
+
     reason: str | None = None
+    lost: str | None = None
+    offence: str | None = None
 
     def __init__(self, agent: Any, launch: Launch) -> None:
         self.log = launch.log
@@ -87,13 +92,18 @@ class _Thread:
 
 
 def competition(
-    *entrants: str, steps: int = 40, limits: TimeLimits | None = None, trials: int = 1, env: str = "mines"
+    *entrants: str,
+    steps: int = 40,
+    limits: TimeLimits | None = None,
+    trials: int = 1,
+    env: str = "mines",
+    max_steps: int = 0,
 ) -> Competition:
     """Return a competition of one task."""
     return Competition(
         "test",
         trials,
-        (Task("walk", env, {"random_start": True} if env == "mines" else {}, steps=steps),),
+        (Task("walk", env, {"random_start": True} if env == "mines" else {}, 0, steps, max_steps),),
         tuple(Entrant(name, command=("nothing",)) for name in entrants),
         Limits(time=limits or TimeLimits()),
     )

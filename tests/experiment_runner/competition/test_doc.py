@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import tomllib
 from pathlib import Path
@@ -46,7 +47,7 @@ def test_the_example_is_a_competition_of_what_is_here() -> None:
 def test_commands_have_the_options_that_they_are_given(script: Block) -> None:
     lines = [line for line in script.body.splitlines() if line.startswith(tuple(GROUPS))]
     for line in lines:
-        name, command, *arguments = line.partition("#")[0].partition(">")[0].split()
+        name, command, *arguments = shlex.split(line.partition(">")[0], comments=True)
         found = GROUPS[name].commands[command]
         found.make_context(command, arguments)
 

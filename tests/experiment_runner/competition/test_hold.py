@@ -20,37 +20,45 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.competition.organiser import competition_of
+from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.verify import verify
 from experiment_runner.store.lock import LOCK_FILE, RunLock
+from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
+from glue.trajectory import Ending, TrajectoryReader
 from tests import forked
 from tests.experiment_runner.view.pages import glue_view
 from tests.forked import BIN
-from tests.proof import FULL, size
+from tests.proof import size
 
 pytestmark = pytest.mark.slow
 
 AGENT = """\
-import os, sys, time
+import os, sys
+from contextlib import suppress
 from glue import Action, serve_agent
 
 class Walker:
-    steps = 0
-    def agent_init(self, task_spec): pass
+    steps = ends = 0
+    def agent_init(self, task_spec): self.mines = "(0 3)" in task_spec
     def agent_start(self, observation): return self.act()
     def agent_step(self, reward, observation): return self.act()
-    def agent_end(self, reward): pass
-    def agent_cleanup(self): pass
-    def agent_message(self, message): return ""
+    def agent_end(self, reward):
+        self.ends += 1
+        if self.ends == 2 and not self.mines:
+            if kind == "raise": babble()
+            if kind != "walk": os._exit(8)
     def act(self):
         self.steps += 1
-        if self.steps == 25:
+        if self.steps == 25 and self.mines:
             if kind == "crash": os._exit(7)
             if kind == "raise": raise ValueError("<script>alert(1)</script>")
-            if kind == "sleep": time.sleep(1000)
         return Action(ints=[(1, 1, 0, 1)[self.steps % 4]])
+
+def babble():
+    for descriptor in range(3, 100):
+        with suppress(OSError): os.write(descriptor, b"garbage" * 100)
 
 kind = sys.argv[1]
 print("I am", kind, sorted(name for name in os.environ if name.startswith(("GLUE", "SECRET"))), flush=True)
@@ -58,13 +66,13 @@ print("x" * 100_000, flush=True)
 serve_agent(Walker(), os.environ["GLUE_HUB"], os.environ["GLUE_SESSION"])
 """
 
+ENTRANT = f'[entrants.{{name}}]\ncommand = ["{sys.executable}", "agent.py", "{{kind}}"]\n'
 FILE = """\
 name = "<b>spring</b>"
-trials = 2
+trials = 1
 seed_env = "SECRET"
 [limits]
-step_seconds = 0.5
-bank_seconds = 1.0
+start_seconds = 300
 log = "2k"
 [tasks.mines]
 env = "mines"
@@ -73,10 +81,7 @@ steps = 200
 [tasks.walk]
 env = "skeleton"
 episodes = 4
-""" + "".join(
-    f'[entrants.{name}]\ncommand = ["{sys.executable}", "agent.py", "{name}"]\n'
-    for name in ("walk", "crash", "raise", "sleep")
-)
+""" + "".join(ENTRANT.format(name=name, kind=name) for name in ("walk", "crash", "raise"))
 
 
 def compete(folder: Path, *arguments: str, secret: str = "xyzzy") -> subprocess.CompletedProcess[str]:
@@ -96,7 +101,7 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.returncode == 0, done.stderr
     verified = compete(folder, "verify", "run")
     assert verified.returncode == 0, verified.stderr
-    assert "16 of 16 trials are verified" in verified.stderr
+    assert "6 of 6 trials are verified" in verified.stderr
     return folder
 
 
@@ -115,19 +120,37 @@ def board(folder: Path) -> dict[str, dict[str, Any]]:
 def problems(run: Path) -> list[str]:
     found: list[str] = []
     with Store.open(run) as store:
-        verify(store, {task.name: task.steps for task in competition_of(run).tasks}, found.append)
+        verify(store, {task.name: task.steps for task in course_of(run).competition.tasks}, found.append)
     return found
 
 
 def test_every_entrant_has_its_place_and_every_forfeit_its_reason(held: Path) -> None:
     entrants = board(held)
-    reasons = {name: [lost["reason"] for lost in one["forfeits"]] for name, one in entrants.items()}
-    assert reasons["walk"] == []
-    for name, why in (("crash", "status 7"), ("raise", "<script>"), ("sleep", "bank of 1 s is empty")):
-        assert len(reasons[name]) == 4
-        assert all(why in reason for reason in reasons[name])
-    places = {name: one["place"] for name, one in entrants.items()}
-    assert places["crash"] == places["raise"] == places["sleep"]
+    reasons = {
+        (name, lost["task"], lost["trial"]): lost["reason"]
+        for name, one in entrants.items()
+        for lost in one["forfeits"]
+    }
+    for name, task, why in (
+        ("crash", "mines", "status 7"),
+        ("crash", "walk", "status 8"),
+        ("raise", "mines", "<script>"),
+        ("raise", "walk", ""),  # it breaks the protocol, and then ends
+    ):
+        reason = reasons.pop((name, task, 0))
+        assert reason
+        assert why in reason
+    assert not reasons
+    assert entrants["crash"]["place"] == entrants["raise"]["place"] == 2
+
+
+def test_who_fails_in_agent_end_has_played_the_episode(held: Path) -> None:
+    """It is in the record and in the results."""
+    with Results.open(held / "run") as results:
+        for trial in ("crash/walk/0", "raise/walk/0"):
+            record = TrajectoryReader(record_path(held / "run", trial))
+            assert [episode.ending for episode in record] == [Ending.TERMINAL] * 2
+            assert len(results.episodes(trial)) == 2
 
 
 def test_a_forfeit_never_beats_a_game_that_was_played_to_its_end(held: Path) -> None:
@@ -135,7 +158,7 @@ def test_a_forfeit_never_beats_a_game_that_was_played_to_its_end(held: Path) -> 
     entrants = board(held)
     walked = entrants["walk"]["tasks"]["mines"]["trials"]
     assert min(walked) < -200  # the cost of 200 steps against a wall, which leaving would have avoided
-    for name in ("crash", "raise", "sleep"):
+    for name in ("crash", "raise"):
         forfeited = entrants[name]["tasks"]["mines"]["trials"]
         assert all(score <= played for score, played in zip(forfeited, walked, strict=True))
         assert forfeited[walked.index(min(walked))] == min(walked)
@@ -144,7 +167,7 @@ def test_a_forfeit_never_beats_a_game_that_was_played_to_its_end(held: Path) -> 
 def test_csv_has_a_line_for_each_entrant(held: Path) -> None:
     shown = compete(held, "board", "run", "--format", "csv")
     rows = list(csv.DictReader(io.StringIO(shown.stdout)))
-    assert {row["entrant"] for row in rows} == {"walk", "crash", "raise", "sleep"}
+    assert {row["entrant"] for row in rows} == {"walk", "crash", "raise"}
     assert all(float(row["low"]) <= float(row["total"]) <= float(row["high"]) for row in rows)
     assert "seeds" not in rows[0]
 
@@ -187,7 +210,7 @@ def test_seeds_are_revealed_at_the_end_alone(held: Path) -> None:
 
 def test_a_log_is_bounded_and_shows_no_secret(held: Path) -> None:
     logs = list((held / "run" / "logs").rglob("*.log"))
-    assert len(logs) == 16
+    assert len(logs) == 6
     for log in logs:
         assert log.stat().st_size < 2200
         assert b"SECRET" not in log.read_bytes()
@@ -210,7 +233,7 @@ def test_another_secret_is_another_competition(held: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [("bank_seconds = 1.0", "bank_seconds = 2.0"), ("steps", "episodes")]
+    ("old", "new"), [("start_seconds = 300", "start_seconds = 200"), ("steps", "episodes")]
 )
 def test_other_limits_and_other_lengths_are_another_competition(
     old: str, new: str, run: Path, tmp_path: Path
@@ -230,8 +253,7 @@ def test_a_directory_that_an_organiser_has_left_open_is_closed(run: Path, held: 
     assert run.stat().st_mode & 0o077 == 0
 
 
-@pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")
-@pytest.mark.proof
+@pytest.mark.stage("kills")
 def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(tmp_path: Path) -> None:
     """A limit on file sizes simulates the full disk."""
     (tmp_path / "agent.py").write_text(AGENT)
@@ -286,7 +308,7 @@ def results(run: Path, command: str, *options: str) -> subprocess.CompletedProce
 @pytest.mark.proof
 def test_random_changes_of_a_record_are_found(run: Path) -> None:
     chance = random.Random(1)
-    paths = [record_path(run, trial) for trial in ("walk/mines/0", "crash/mines/1", "walk/walk/1")]
+    paths = [record_path(run, trial) for trial in ("walk/mines/0", "crash/mines/0", "walk/walk/0")]
     for change in range(size(6, 100)):
         path = paths[change % len(paths)]
         whole = path.read_bytes()
@@ -342,26 +364,27 @@ _FORFEITED = (
 )
 _EDITS = {
     "a reason for a trial that was played": _FORFEITED,
-    "a trial less": "DELETE FROM trials WHERE id = 'crash/walk/1'",
+    "a trial less": "DELETE FROM trials WHERE id = 'crash/walk/0'",
     "another score": "UPDATE verdicts SET score = score + 100 WHERE trial = 1",
     "another return": "UPDATE episodes SET episode_return = 99 WHERE trial = 1 AND episode = 1",
-    "an entrant less": (f'[entrants.sleep]\ncommand = ["{sys.executable}", "agent.py", "sleep"]\n', ""),
-    "trials = 1": ("trials = 2", "trials = 1"),
+    "an entrant less": ("competition.toml", ENTRANT.format(name="raise", kind="raise"), ""),
+    "trials = 2": ("competition.toml", "trials = 1", "trials = 2"),
+    "another program": ("journal.jsonl", "agent.py walk", "agent.py crash"),
 }
 
 
 @pytest.mark.parametrize("edit", _EDITS.values(), ids=_EDITS.keys())
 def test_an_edit_of_the_directory_is_found_by_verify_and_on_the_board(
-    run: Path, edit: str | tuple[str, str]
+    run: Path, edit: str | tuple[str, str, str]
 ) -> None:
     if isinstance(edit, str):
         with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
             database.execute("PRAGMA foreign_keys = off")
             assert database.execute(edit).rowcount == 1
     else:
-        file = run / "competition.toml"
-        assert edit[0] in file.read_text()
-        file.write_text(file.read_text().replace(*edit))
+        file = run / edit[0]
+        assert edit[1] in file.read_text()
+        file.write_text(file.read_text().replace(*edit[1:]))
     shown = compete(run.parent, "board", "run")
     assert (shown.returncode, shown.stdout) == (1, "")
     assert "were changed" in shown.stderr
@@ -400,29 +423,29 @@ _HOSTILE = {
     "NaN": ("run.json", '{"program": NaN, "machine": {"a": Infinity, "b": 1e999}}'),
     "half a character": ("run.json", '{"program": "\\ud800"}'),
     "deep JSON": ("run.json", 100_000 * "["),
+    "a journal of another kind": ("journal.jsonl", "[NaN]\n"),
     "a seal of another kind": ("seal.json", "[NaN]"),
     "a deep seal": ("seal.json", 100_000 * '{"played":'),
 }
 
 
-@pytest.mark.parametrize(("file", "text"), _HOSTILE.values(), ids=_HOSTILE.keys())
-def test_a_hostile_directory_is_one_line(run: Path, file: str, text: str) -> None:
+def test_a_hostile_directory_is_one_line(run: Path) -> None:
     """In the terminal and on the page, in a folder whose name is not UTF-8."""
     folder = Path(os.fsdecode(os.fsencode(run.parent) + b"/\xff"))
-    folder.mkdir()
-    run = run.rename(folder / "run")
-    (run / file).write_bytes(os.fsencode(text))
-    shown = compete(folder, "board", "run")
-    assert (shown.returncode, len(shown.stderr.splitlines())) in ((1, 1), (2, 1)), shown
-    checked = compete(folder, "check", "run/competition.toml", "--out", "check")
-    if file == "competition.toml":
-        assert (checked.returncode, len(checked.stderr.splitlines())) == (2, 1), checked
+    for number, (file, text) in enumerate(_HOSTILE.values()):
+        made = shutil.copytree(run, folder / f"run{number}")
+        (made / file).write_bytes(os.fsencode(text))
+        shown = compete(folder, "board", made.name)
+        assert (shown.returncode, len(shown.stderr.splitlines())) in ((1, 1), (2, 1)), shown
+        if file == "competition.toml":
+            checked = compete(folder, "check", f"{made.name}/competition.toml", "--out", "check")
+            assert (checked.returncode, len(checked.stderr.splitlines())) == (2, 1), checked
     with glue_view(folder) as page:
-        run_id = page.run_id("run")
-        assert page.ask(f"/api/standings/{run_id}").status == 422
-        found = page.ask(f"/api/run/{run_id}")
-        assert found.status == 200
-        assert page.ask(f"/api/curves?run={run_id}").status == 200
+        for number in range(len(_HOSTILE)):
+            run_id = page.run_id(f"run{number}")
+            assert page.ask(f"/api/standings/{run_id}").status == 422
+            assert page.ask(f"/api/run/{run_id}").status == 200
+            assert page.ask(f"/api/curves?run={run_id}").status == 200
 
 
 def test_only_what_was_verified_is_on_the_board(run: Path) -> None:
@@ -438,15 +461,67 @@ def test_only_what_was_verified_is_on_the_board(run: Path) -> None:
     assert board(run.parent)["crash"]["place"] is not None
 
 
-def test_check_reports_to_every_owner(held: Path, tmp_path: Path) -> None:
+def test_check_plays_every_task_and_reports_to_every_owner(held: Path, tmp_path: Path) -> None:
     done = compete(held, "check", "spring.toml", "--out", str(tmp_path / "check"))
     assert done.returncode == 1, done.stderr
     reports = {path.parent.name: path.read_text() for path in tmp_path.glob("check/*/report.txt")}
-    assert set(reports) == {"walk", "crash", "raise", "sleep"}
-    assert "episode 3: return" in reports["walk"]
+    assert set(reports) == {"walk", "crash", "raise"}
+    assert reports["walk"].count("episode 3: return") == 2
+    assert "walk: played 3 episodes of each task" in done.stderr
+    assert "task mines" in reports["crash"]
     assert "status 7" in reports["crash"]
+    assert "status 8" in reports["crash"]
     assert all(f"I am {name} ['GLUE_HUB', 'GLUE_SESSION']" in report for name, report in reports.items())
     assert not (tmp_path / "check" / LOCK_FILE).exists()
+
+
+def test_acts_of_the_organiser_are_sealed_and_shown_and_delete_nothing(held: Path, run: Path) -> None:
+    folder = run.parent
+    for name in ("agent.py", "spring.toml"):
+        shutil.copy(held / name, folder)
+    before = {path: path.read_bytes() for path in (run / "records").rglob("*.traj")}
+
+    def act(*arguments: str, reason: str = "a mail of 3 May") -> str:
+        done = compete(folder, *arguments, "--reason", reason)
+        assert done.returncode == 0, done.stderr
+        return done.stderr
+
+    def refused(*arguments: str, reason: str = "a mail of 3 May") -> str:
+        done = compete(folder, *arguments, "--reason", reason)
+        assert done.returncode in (1, 2)
+        return done.stderr.splitlines()[-1]
+
+    assert "there is no entrant nobody; there are walk, crash" in refused("exclude", "run", "nobody")
+    assert "a reason is a line" in refused("exclude", "run", "crash", reason=" ")
+    assert "there is no trial crash/mines/7" in refused("rerun", "run", "crash/mines/7")
+    assert "has no entrant that run does not have" in refused("add", "run", "spring.toml")
+    act("exclude", "run", "raise", reason="it read <i>mail</i>")
+    assert "raise is excluded: it read" in refused("exclude", "run", "raise")
+    assert "played again: crash/mines/0" in act("rerun", "run", "crash/mines/0")
+    assert "is not over" in refused("rerun", "run", "crash/mines/0")
+    with (folder / "spring.toml").open("a") as file:
+        file.write(ENTRANT.format(name="late", kind="walk"))
+    without = compete(folder, "run", "spring.toml", "--out", "run")
+    assert "entrant late is not in the run yet: glue-compete add" in without.stderr
+    act("add", "run", "spring.toml")
+    entrants = board(folder)
+    assert entrants["raise"]["missing"] == "excluded: it read <i>mail</i>"
+    assert entrants["crash"]["missing"] == "not played to the end yet"
+    assert "not played to the end yet" in entrants["late"]["missing"]
+    played = compete(folder, "run", "spring.toml", "--out", "run", "--workers", "2")
+    assert played.returncode == 0, played.stderr
+    assert "all 6 trials are over" in played.stderr  # without those of who was excluded
+    verified = compete(folder, "verify", "run")
+    assert "9 of 9 trials are verified" in verified.stderr
+    entrants = board(folder)
+    assert [lost["trial"] for lost in entrants["crash"]["forfeits"]] == [0, 0]
+    assert entrants["late"]["tasks"] == entrants["walk"]["tasks"]
+    assert (entrants["late"]["place"], entrants["crash"]["place"], entrants["raise"]["place"]) == (1, 3, None)
+    assert all(path.read_bytes() == content for path, content in before.items())
+    for form in ("text", "html", "json"):
+        shown = compete(folder, "board", "run", "--format", form).stdout
+        assert "a mail of 3 May" in shown
+        assert ("&lt;i&gt;mail" if form == "html" else "<i>mail") in shown
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from experiment_runner.competition.jail import check_engine, check_image, jail, user_of
+from experiment_runner.competition.jail import check_engine, check_image, check_limits, jail, own_user
 from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.starting import Launch
 from glue.errors import ConfigError
@@ -32,6 +33,20 @@ def test_every_door_is_shut() -> None:
     assert host["ShmSize"] == 2**21
     assert host["Tmpfs"] == {"/tmp": "size=1048576,mode=1777,nosuid,nodev,noexec"}
     assert host["SecurityOpt"][0] == "no-new-privileges"
+    limits = {limit["Name"]: limit["Hard"] for limit in host["Ulimits"]}
+    assert limits["msgqueue"] == limits["core"] == 0
+    assert {"sigpending", "nofile"} <= limits.keys()
+
+
+def test_of_sys_a_jail_sees_the_list_of_processors_and_its_own_control_group() -> None:
+    masked = jail(Limits(), PLACE, "1000:1000")["HostConfig"]["MaskedPaths"]
+    assert {"/proc/loadavg", "/proc/sys/fs", "/sys/devices/system/cpu/cpu0"} <= set(masked)
+    hidden = [Path(path) for path in masked if path.startswith("/sys/")]
+    seen = [path for path in Path("/sys/devices/system").iterdir() if path not in hidden]
+    assert seen == [Path("/sys/devices/system/cpu")]
+    assert not any(
+        Path(shown).is_relative_to(path) for shown in ("/sys/fs/cgroup", *map(str, seen)) for path in hidden
+    )
 
 
 def test_the_seccomp_profile_is_text_for_docker_and_a_path_for_podman() -> None:
@@ -57,34 +72,33 @@ def test_the_seccomp_profile_is_text_for_docker_and_a_path_for_podman() -> None:
     }
 
 
-@pytest.mark.parametrize(
-    ("declared", "user"),
-    [("1000", "1000:1000"), ("1000:100", "1000:100"), ("1000:0", "1000:0"), ("4294967295", None)]
-    + [
-        (root, None)
-        for root in ("", "0", "0:1000", "root", "00", "+0", "0x0", "glue", "1000:staff", "1000\n")
-    ],
-)
-def test_a_user_is_a_number_and_never_root(declared: str, user: str | None) -> None:
-    assert user_of(declared) == (user or "65534:65534", user is not None)
+def test_no_two_jails_have_the_same_user_at_the_same_time() -> None:
+    with ExitStack() as stack:
+        users = [stack.enter_context(own_user()) for _ in range(20)]
+    assert len(set(users)) == 20
+    assert all(user.split(":")[0] == user.split(":")[1] != "0" for user in users)
 
 
-def test_an_image_that_runs_as_root_is_warned_of() -> None:
-    warning = check_image("alice/agent:1", {"User": "", "Cmd": ["agent"]})
-    assert warning is not None
-    assert "alice/agent:1 is to run as root" in warning
-    assert "USER 1000" in warning
-    assert check_image("alice/agent:1", {"User": "1000", "Entrypoint": ["agent"]}) is None
+def test_a_giant_image_is_warned_of() -> None:
+    settings = {"User": "", "Cmd": ["agent"]}
+    assert check_image("alice/agent:1", settings, 2**30) is None
+    assert "alice/agent:1 takes 12.0 GiB" in str(check_image("alice/agent:1", settings, 12 * 2**30))
+
+
+def test_more_processors_than_there_are_cannot_be_promised() -> None:
+    check_limits(Limits(cpus=2.0), 2)
+    with pytest.raises(ConfigError, match=r"cpus = 64, but this machine has only 2"):
+        check_limits(Limits(cpus=64.0), 2)
 
 
 def test_an_image_that_would_write_to_a_disk_is_refused() -> None:
     with pytest.raises(ConfigError, match="declares a volume, /data, in which it could fill"):
-        check_image("alice/agent:1", {"User": "1000", "Cmd": ["agent"], "Volumes": {"/data": {}}})
+        check_image("alice/agent:1", {"User": "1000", "Cmd": ["agent"], "Volumes": {"/data": {}}}, 0)
 
 
 def test_an_image_without_a_program_is_refused() -> None:
     with pytest.raises(ConfigError, match="nothing to run: add CMD"):
-        check_image("alice/agent:1", {"User": "1000", "Cmd": None, "Entrypoint": None})
+        check_image("alice/agent:1", {"User": "1000", "Cmd": None, "Entrypoint": None}, 0)
 
 
 def test_an_engine_that_cannot_limit_is_refused() -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
-import socket
 import subprocess
 import sys
 import threading
@@ -30,12 +30,11 @@ from tests.experiment_runner.competition.players import SECRET, Walker, competit
 
 _FILE = """\
 name = "spring"
-trials = 2
 seed_file = "secret.txt"
 [tasks.mines]
 env = "mines"
 options = { random_start = true }
-steps = 60
+steps = 20
 [entrants.carol]
 key = "carol.key"
 """
@@ -56,12 +55,6 @@ while not Path("over").exists():
 """
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def compete(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return forked.run("glue-compete", *arguments, cwd=folder)
 
@@ -73,7 +66,7 @@ def test_one_who_joins_with_a_key_gets_to_the_verified_board(tmp_path: Path) -> 
     (tmp_path / "secret.txt").chmod(0o600)
     write_pair(tmp_path / "keys", "hub", new_pair())
     write_pair(tmp_path, "carol", new_pair())
-    url = f"tcp://127.0.0.1:{free_port()}"
+    url = f"ipc://{tmp_path}/gate"
     place = {
         "GLUE_HUB": url,
         "GLUE_SESSION": "carol",
@@ -92,51 +85,64 @@ def test_one_who_joins_with_a_key_gets_to_the_verified_board(tmp_path: Path) -> 
     assert "forfeited" not in done.stderr
     assert "its log is where its program is" in (tmp_path / "run/logs/carol/mines/0.log").read_text()
     verified = compete(tmp_path, "verify", "run")
-    assert "2 of 2 trials are verified" in verified.stderr
+    assert "1 of 1 trials are verified" in verified.stderr
     (carol,) = json.loads(compete(tmp_path, "board", "run", "--format", "json").stdout)["entrants"]
     assert (carol["name"], carol["place"], carol["forfeits"]) == ("carol", 1, [])
+    assert carol["id"] in (tmp_path / "carol.key").read_text()
 
 
-def reports_of(folder: Path, program: Callable[[str, Path], None] | None) -> list[Any]:
-    """Let Carol's program, if any, join a trial at an address on loopback; return its reports."""
+def reports_of(folder: Path, program: Callable[[str, Path], object]) -> list[Any]:
+    """Let a program join Carol's trial at an address of this machine; time is over when it has tried."""
     write_pair(folder / "keys", "hub", new_pair())
     write_pair(folder, "carol", new_pair())
     held = competition("carol", limits=TimeLimits(start_seconds=1.0))
     entrant = Entrant("carol", key=folder / "carol.key")
-    url = f"tcp://127.0.0.1:{free_port()}"
+    url = f"ipc://{folder}/gate"
     (spec,) = trials(held, SECRET)
     match = Match(spec, entrant, held.limits, 40, folder / "log", "test", Gate(url, folder / "keys"))
     reports: list[Any] = []
-    if program is not None:
-        threading.Thread(target=program, args=(url, folder), daemon=True).start()
-    play(match, reports.append, starter_for(entrant))
+    tried = threading.Event()
+
+    def attempt() -> None:
+        with suppress(GlueError):
+            program(url, folder)
+        tried.set()
+
+    threading.Thread(target=attempt, daemon=True).start()
+    ticks = itertools.count()
+
+    def clock() -> float:
+        return float(next(ticks)) if tried.is_set() else 0.0
+
+    play(match, reports.append, starter_for(entrant), clock=clock)
     return reports
 
 
 def with_another_key(url: str, folder: Path) -> None:
     write_pair(folder, "mallory", new_pair())
-    with suppress(GlueError):
-        join(url, folder / "mallory.key_secret", "carol")
+    join(url, folder / "mallory.key_secret", "carol")
 
 
 def as_another(url: str, folder: Path) -> None:
-    with suppress(GlueError):
-        join(url, folder / "carol.key_secret", "dave")
+    join(url, folder / "carol.key_secret", "dave")
 
 
 def without_a_key(url: str, folder: Path) -> None:
-    with suppress(GlueError):
-        serve_agent(Walker(), url, "carol", wait=5.0)
+    serve_agent(Walker(), url, "carol", wait=1.0)
+
+
+def nobody(url: str, folder: Path) -> None:
+    pass
 
 
 def join(url: str, key: Path, session: str) -> None:
     hub_key = key.parent / "keys" / "hub.key"
-    serve_agent(Walker(), url, session, key=key, hub_key=hub_key, wait=5.0)
+    serve_agent(Walker(), url, session, key=key, hub_key=hub_key, wait=1.0)
 
 
-@pytest.mark.parametrize("program", [None, with_another_key, as_another, without_a_key])
+@pytest.mark.parametrize("program", [nobody, with_another_key, as_another, without_a_key])
 def test_nobody_else_gets_in_and_who_does_not_come_forfeits(
-    program: Callable[[str, Path], None] | None, tmp_path: Path
+    program: Callable[[str, Path], object], tmp_path: Path
 ) -> None:
     reports = reports_of(tmp_path, program)
     (forfeit,) = (report for report in reports if isinstance(report, Forfeited))

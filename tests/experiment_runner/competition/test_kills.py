@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 import subprocess
 import sys
@@ -13,12 +12,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.proof import size
 from tests.system.runs import alive, children, wait_until
 
-KILLS = int(os.environ.get("GLUE_KILLS", "2"))
-"""Number of kills of the organiser; 20 in `.ci/run`."""
+KILLS = size(4, 20)
+"""Number of kills of the organiser."""
 
-TRIALS, STEPS, EPISODES, LONGEST_LIFE = (1, 1000, 20, 1.5) if KILLS <= 2 else (2, 3000, 50, 3.0)
+TRIALS, STEPS, EPISODES = size((1, 1000, 20), (2, 3000, 50))
+
+LONGEST_LIFE = 3.0
+"""Seconds until a kill, at most; an organiser that is over by then has nothing to lose."""
 
 COMPETE = [sys.executable, "-m", "experiment_runner.cli.compete"]
 
@@ -50,7 +53,7 @@ def standings(folder: Path, out: str) -> object:
     return json.loads(shown.stdout)
 
 
-@pytest.mark.slow
+@pytest.mark.stage("kills")
 @pytest.mark.timeout(900)
 def test_an_organiser_that_is_killed_comes_to_the_same_standings(tmp_path: Path) -> None:
     agent = Path(sys.executable).with_name("glue-agent")

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import Forfeited, Played, starter_for
 from experiment_runner.competition.secret import agent_seed, draw, trials
 from experiment_runner.competition.settings import Entrant
-from experiment_runner.executors.job import Ended, Recorded
+from experiment_runner.executors.job import Ended, Lost, Recorded
 from glue.engine.engine import role_seed
-from glue.errors import ConfigError
+from glue.errors import ConfigError, GlueError
 from glue.hub.config import TimeLimits
 from glue.trajectory import Ending, Episode, TrajectoryReader
-from glue.types import Action, Observation
+from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
-from tests.experiment_runner.competition.players import SECRET, InThread, Walker, competition, reports_of
+from tests.experiment_runner.competition.players import (
+    SECRET,
+    InThread,
+    Thread,
+    Walker,
+    competition,
+    reports_of,
+)
 
 
 def forfeit(reports: list[Any]) -> str:
@@ -111,6 +120,40 @@ def test_the_total_is_limited(tmp_path: Path) -> None:
     assert "10 s in all" in forfeit(reports_of(Thinker(clock, 1.0), tmp_path, clock, limits=limits))
 
 
+class LateThinker(Thinker):
+    """Takes its time about the last call of an episode."""
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self.act()
+
+    def agent_end(self, reward: float) -> None:
+        self.clock.now += self.seconds
+
+
+class LateRaiser(Walker):
+    def agent_end(self, reward: float) -> None:
+        raise ValueError("at the end")
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("late", [True, False])
+def test_who_fails_after_the_last_step_of_an_episode_has_played_it(late: bool, tmp_path: Path) -> None:
+    clock = Clock()
+    agent = LateThinker(clock, 100.0) if late else LateRaiser()
+    agent.path = (1,)
+    reports = reports_of(agent, tmp_path, clock, limits=LIMITS, steps=400, env="skeleton")
+    assert ("is empty" if late else "at the end") in forfeit(reports)
+    (episode,) = episodes(reports, tmp_path)
+    assert episode.ending is Ending.TERMINAL
+    assert len([report for report in reports if isinstance(report, Recorded)]) == 1
+
+
+def test_an_episode_ends_at_its_step_limit(tmp_path: Path) -> None:
+    reports = reports_of(Walker((1,)), tmp_path, steps=40, env="skeleton", max_steps=6)
+    assert reports[-1] == Ended(None)
+    assert {len(episode.steps) for episode in episodes(reports, tmp_path)} == {5}
+
+
 class Illegal(Walker):
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return Action(ints=[99])
@@ -119,6 +162,11 @@ class Illegal(Walker):
 class Misshapen(Walker):
     def agent_start(self, observation: Observation) -> Action:
         return Action(ints=[1], doubles=[0.5])
+
+
+class Wordless(Walker):
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        raise GlueError("\n")
 
 
 class Raising(Walker):
@@ -133,6 +181,7 @@ class Raising(Walker):
         (Illegal(), "its action was refused"),
         (Misshapen(), "must return"),
         (Raising(), "raised in agent_step"),
+        (Wordless(), "Wordless"),
     ],
 )
 def test_what_an_agent_does_wrong_is_the_reason_in_one_line(agent: Walker, why: str, tmp_path: Path) -> None:
@@ -143,8 +192,9 @@ def test_what_an_agent_does_wrong_is_the_reason_in_one_line(agent: Walker, why: 
 
 
 def test_one_who_never_connects_forfeits(tmp_path: Path) -> None:
-    reports = reports_of(None, tmp_path, limits=TimeLimits(start_seconds=0.2))
-    assert "did not connect within 0.2 s" in forfeit(reports)
+    ticks = itertools.count()
+    reports = reports_of(None, tmp_path, lambda: float(next(ticks)), limits=TimeLimits(start_seconds=5.0))
+    assert "did not connect within 5 s" in forfeit(reports)
     assert episodes(reports, tmp_path) == []
 
 
@@ -159,6 +209,61 @@ def test_an_environment_that_fails_is_not_the_entrants_fault(tmp_path: Path) -> 
     )
     reports = reports_of(Walker(), tmp_path, env=f"{tmp_path / 'breaking.py'}:Breaking")
     assert "RuntimeError: broken" in str(reports[-1].failure)
+    assert not any(isinstance(report, Forfeited) for report in reports)
+
+
+class AnyText(MinesEnvironment):
+    """Mines whose actions may have text."""
+
+    def env_init(self) -> str:
+        return super().env_init().replace("ACTIONS INTS (0 3)", "ACTIONS INTS (0 3) CHARCOUNT 4000000")
+
+    def env_step(self, action: Action) -> Step:
+        return super().env_step(Action(ints=[0]))
+
+
+def test_actions_that_no_record_can_hold_are_the_entrants_fault(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("glue.trajectory.limits.MAX_EPISODE", 2**24)
+    monkeypatch.setattr("experiment_runner.competition.inside.MAX_EPISODE", 2**24)
+
+    class Verbose(Walker):
+        def act(self) -> Action:
+            self.steps += 1
+            return Action(ints=[0], chars=self.steps.to_bytes(4, "big") * 1_000_000)
+
+    reports = reports_of(Verbose(), tmp_path, env=f"{__name__}:AnyText", steps=40)
+    assert "its actions take more than 16 MiB in an episode" in forfeit(reports)
+    assert episodes(reports, tmp_path)[-1].ending is Ending.VOID
+
+
+class Overdrawn(Thread):
+    """A program of which it is known, once it is stopped, that it took what it was not allowed to."""
+
+    def stop(self) -> None:
+        self.offence = "used more than 64 MiB of memory"
+
+
+def test_an_offence_that_is_known_at_the_end_is_a_forfeit_too(tmp_path: Path) -> None:
+    reports = reports_of(InThread(Walker(), Overdrawn), tmp_path)
+    assert forfeit(reports) == "its program used more than 64 MiB of memory"
+    assert all(episode.ending is not Ending.VOID for episode in episodes(reports, tmp_path))
+
+
+class Interrupted(Thread):
+    """A program that is ended by whatever runs it."""
+
+    reason: str | None = "the container engine went away"
+    lost = reason
+
+    def wait(self, seconds: float) -> bool:
+        return True
+
+
+def test_a_program_that_was_ended_from_outside_forfeits_nothing(tmp_path: Path) -> None:
+    reports = reports_of(InThread(None, Interrupted), tmp_path)
+    assert reports[-1] == Lost("the container engine went away")
     assert not any(isinstance(report, Forfeited) for report in reports)
 
 

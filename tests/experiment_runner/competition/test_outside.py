@@ -12,7 +12,7 @@ import pytest
 from experiment_runner.competition.match import Match, play, starter_for
 from experiment_runner.competition.outside import InFolder
 from experiment_runner.competition.secret import trials
-from experiment_runner.competition.settings import Entrant
+from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.executors.job import Ended
 from glue import serve_agent
 from glue.errors import ConfigError
@@ -24,7 +24,7 @@ def test_an_entrant_in_a_folder_finds_the_socket_of_each_trial_and_needs_no_sess
     entrant = Entrant("alice", folder=tmp_path)
     starter = starter_for(entrant)
     assert isinstance(starter, InFolder)
-    starter.check(entrant)
+    starter.check(entrant, Limits())
     for number, spec in enumerate(trials(replace(held, entrants=(entrant,)), SECRET)):
         said: list[str] = []
         hub = f"ipc://{tmp_path}/walk-{number}/hub"
@@ -39,5 +39,5 @@ def test_an_entrant_in_a_folder_finds_the_socket_of_each_trial_and_needs_no_sess
 
 
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"entrant alice: there is no folder .*missing: make it"):
-        InFolder().check(Entrant("alice", folder=tmp_path / "missing"))
+    with pytest.raises(ConfigError, match=r"there is no folder .*missing: make it"):
+        InFolder().check(Entrant("alice", folder=tmp_path / "missing"), Limits())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -88,8 +89,8 @@ class RawAgent:
         self.kinds: set[Kind] = set()
         self.told: list[str] = []
 
-    def check(self, entrant: Entrant) -> None:
-        pass
+    def check(self, entrant: Entrant, limits: Limits) -> str:
+        return ""
 
     def sweep(self, run: str) -> None:
         pass
@@ -101,9 +102,10 @@ class RawAgent:
     def serve(self, launch: Launch, over: threading.Event) -> None:
         with ScriptedPeer(launch.hub, session=launch.session).greet() as peer:
             peer.say(Kind.HELLO, 0, *hello_scalars("agent", CANARY, ("seed", "save")))
-            while not over.is_set():
-                if peer.can_read(0.05):
-                    self._take(peer)
+            with suppress(ConnectionAbortedError):  # the hub is closed before `stop`
+                while not over.is_set():
+                    if peer.can_read(0.05):
+                        self._take(peer)
 
     def _take(self, peer: ScriptedPeer) -> None:
         frames = peer.receive_frames()
@@ -131,6 +133,8 @@ class RawAgent:
 
 class _Running:
     reason: str | None = None
+    lost: str | None = None
+    offence: str | None = None
 
     def __init__(self, agent: RawAgent, launch: Launch) -> None:
         self.log = launch.log

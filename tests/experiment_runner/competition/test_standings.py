@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.competition.board.standings import Standing, standings
+from experiment_runner.competition.course import course_of
 from experiment_runner.competition.file import parse_competition
 from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records import seal
-from experiment_runner.competition.secret import trials
 from experiment_runner.store.layout import ABOUT_FILE
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from glue.errors import ExperimentError
@@ -21,30 +21,31 @@ seed_env = "S"
 env = "skeleton"
 episodes = 2
 [entrants.late]
-key = "late.pub"
+command = ["true"]
 [entrants.unverified]
-key = "unverified.pub"
+command = ["true"]
 [entrants.forger]
-key = "forger.pub"
+command = ["true"]
 """
 
 
 def test_who_has_no_place_is_last_with_the_reason(tmp_path: Path) -> None:
     competition = parse_competition(FILE, tmp_path / "spring.toml")
-    with open_competition(tmp_path / "run", FILE, competition, trials(competition, b"secret")) as store:
+    with open_competition(tmp_path / "run", FILE, competition, b"secret") as store:
         for name in ("unverified", "forger"):
             seal.record_outcome(store, f"{name}/walk/0", TrialEnd("it left", b"digest"))
         seal.record_verdict(store, "forger/walk/0", ReplayVerdict(b"digest", "a reward differs", 0.0))
 
-        found: dict[str, Standing] = {one.name: one for one in standings(store, competition).entrants}
+        course = course_of(tmp_path / "run")
+        found: dict[str, Standing] = {one.name: one for one in standings(store, course).entrants}
         assert {one.place for one in found.values()} == {None}
         assert "not played to the end yet" in found["late"].missing
         assert "not verified yet" in found["unverified"].missing
         assert "a reward differs" in found["forger"].missing
         assert found["forger"].forfeits[0].reason == "it left"
-        assert not standings(store, competition).seeds
-        assert [seed.task for seed in standings(store, competition, reveal=True).seeds] == ["walk"]
+        assert not standings(store, course).seeds
+        assert [seed.task for seed in standings(store, course, reveal=True).seeds] == ["walk"]
 
         (tmp_path / "run" / ABOUT_FILE).write_text("{}")
         with pytest.raises(ExperimentError, match=r"run\.json"):
-            standings(store, competition)
+            standings(store, course)

@@ -75,9 +75,10 @@ class Unshowable(Exception):
         raise AttributeError("no text")
 
 
+RAISED = "^agent Failing raised in agent_step: "
 FAILURES = {
-    "cancelled": (asyncio.CancelledError("mine"), "CancelledError: mine"),
-    "a closed generator": (GeneratorExit("mine"), "GeneratorExit: mine"),
+    "cancelled": (asyncio.CancelledError("mine"), f"{RAISED}CancelledError: mine"),
+    "a closed generator": (GeneratorExit("mine"), f"{RAISED}GeneratorExit: mine"),
     "a surrogate": (ValueError("a path \udcff"), r"ValueError: a path \?"),
     "no text": (Unshowable(), r"Unshowable: \(its text cannot be shown\)"),
     "ten megabytes": (ValueError("x" * 10_000_000), r"ValueError: x+\.\.\. \([\d,]+ characters\)"),

@@ -513,6 +513,7 @@ except ExperimentError as error:
 """
 
 
+@pytest.mark.stage("kills")
 def test_killed_writer_loses_no_episode_that_it_reported(store: Store) -> None:
     store.close()
     chance = np.random.default_rng(4)

@@ -24,6 +24,7 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.run_data import load_run
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
+from tests.proof import size
 
 PLAN = Plan(
     episodes=30,
@@ -31,7 +32,7 @@ PLAN = Plan(
     environments=(RoleSweep("mario", {"level_seed": 121}),),
     agents=(RoleSweep("sarsa", {"step_size": 0.5}),),
 )
-MUTATIONS = 200
+MUTATIONS = size(40, 1000)
 
 
 @pytest.fixture

@@ -38,7 +38,9 @@ def served(folder: Path, connection: type[Connection]) -> Iterator[int]:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = listening.getsockname()[1]
         app = page([folder], Address(port), "token", Pulse())
-        server = uvicorn.Server(uvicorn.Config(app, http=connection, lifespan="off", log_config=None))
+        server = uvicorn.Server(
+            uvicorn.Config(app, http=connection, lifespan="off", log_config=None, timeout_graceful_shutdown=1)
+        )
         serving = threading.Thread(target=lambda: asyncio.run(server.serve([listening])))
         serving.start()
         try:

@@ -18,7 +18,7 @@ import pytest
 
 from env_server.replay.episodes import open_recording, recorded_moments
 from experiment_runner.competition.board.standings import standings
-from experiment_runner.competition.organiser import competition_of
+from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.verify import verify
 from experiment_runner.executors.resume import create_run, resume_run
 from experiment_runner.plan.plan import Plan, RoleSweep
@@ -200,7 +200,7 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def board(directory: Path) -> None:
     with Results.open(directory) as results:
-        standings(results, competition_of(directory))
+        standings(results, course_of(directory))
 
 
 def verify_again(directory: Path) -> None:
@@ -211,7 +211,10 @@ def verify_again(directory: Path) -> None:
 @pytest.mark.parametrize("thing", THINGS)
 @pytest.mark.parametrize(
     "name",
-    ["competition.toml", "seal.json", "run.json", "lock", "records/alice/walk/0.traj", "records/alice"],
+    [
+        *("competition.toml", "journal.jsonl", "seal.json", "run.json", "lock"),
+        *("records/alice/walk/0.traj", "records/alice"),
+    ],
 )
 def test_a_competition(held: Path, tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
     directory, victim = tmp_path / "run", tmp_path / "victim"

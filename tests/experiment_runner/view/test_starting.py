@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.experiment_runner.view.pages import in_terminal
 from tests.forked import run
 from tests.system.runs import wait_until
+
+pytestmark = pytest.mark.stage("page")
 
 EXPERIMENT = ("glue-experiment", "--env", "skeleton", "--agent", "skeleton", "--episodes", "3")
 COMPETITION = """\

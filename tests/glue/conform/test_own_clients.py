@@ -37,6 +37,13 @@ def test_a_client_that_reconnects_while_it_ends_is_judged_by_its_end() -> None:
     assert verdict.outcome is Outcome.PASSED, line(verdict)
 
 
+def test_a_client_that_takes_its_time_to_leave_after_an_error_is_judged_by_its_deed() -> None:
+    some = {"exception", "max-body"}
+    verdicts = judge(Role.AGENT, mirror(Role.AGENT, False), wait=WAIT, quiet=0.0, only=some)
+
+    assert [line(verdict) for verdict in verdicts if verdict.outcome is not Outcome.PASSED] == []
+
+
 @pytest.fixture(scope="module")
 def c_mirror(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled(EXAMPLE, tmp_path_factory.mktemp("c"))

@@ -1,6 +1,6 @@
 """Stable-Baselines3, unmodified, learns through the adapter and through the hub.
 
-Part of `make test` where Stable-Baselines3 is installed; a stage of .ci/run installs it and always runs this.
+The stage `gymnasium` of `.ci/run` installs it.
 """
 
 from __future__ import annotations
@@ -128,7 +128,6 @@ def test_a_policy_that_is_none_is_refused(tmp_path: Path) -> None:
             make_agent("sb3", policy=str(path))
 
 
-@pytest.mark.stage("gymnasium")
 def test_ppo_learns_to_finish_level_121() -> None:
     """This seed takes 204,800 steps, half a minute of CPU on the machine of docs/gymnasium.md."""
     progress = next((one for one in learn(seed=1) if one.goals >= 0.9), None)

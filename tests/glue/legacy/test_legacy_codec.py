@@ -104,19 +104,6 @@ def test_every_recorded_frame_is_read_and_written_back_to_the_same_bytes(path: P
     assert count >= 19
 
 
-@pytest.mark.parametrize("size", [1, 7, 8, 9, 1000])
-def test_a_recorded_stream_gives_the_same_messages_however_it_is_cut(size: int) -> None:
-    path = next(path for path in CAPTURES if path.stem == "c_test_1")
-    for vocabulary, frames in streams(path):
-        stream = b"".join(frames)
-        decoder = Decoder(vocabulary)
-        messages: list[Frame] = []
-        for start in range(0, len(stream), size):
-            decoder.receive_data(stream[start : start + size])
-            messages.extend(events(decoder))
-        assert messages == [message for each in frames for message in decode(each, vocabulary)]
-
-
 # Round trips
 
 
@@ -200,36 +187,6 @@ def test_an_abstract_type_keeps_every_bit_in_the_original_order(
     assert action.doubles.view("uint64").tolist() == doubles
     assert action.chars == chars
     assert encode(message, FROM_AGENT) == raw(5, theirs)
-
-
-def test_the_bytes_of_a_small_step_are_the_originals() -> None:
-    observation = Observation(ints=[3]).body
-    action = Action(ints=[1]).body
-    for message, vocabulary, expected in (
-        (Frame(Kind.RL_STEP), FROM_EXPERIMENT, "00000016 00000000"),
-        (
-            Frame(Kind.ENV_STEP, body=action),
-            TO_ENVIRONMENT,
-            "0000000d 00000010 00000001 00000000 00000000 00000001",
-        ),
-        (
-            Frame(Kind.ENV_STEP, (-1.0, False), observation),
-            FROM_ENVIRONMENT,
-            "0000000d 0000001c 00000000 bff0000000000000 00000001 00000000 00000000 00000003",
-        ),
-        (
-            Frame(Kind.AGENT_STEP, (-1.0,), observation),
-            TO_AGENT,
-            "00000006 00000018 bff0000000000000 00000001 00000000 00000000 00000003",
-        ),
-        (
-            Frame(Kind.RL_STEP, (-1.0, False), observation + action),
-            TO_EXPERIMENT,
-            "00000016 0000002c 00000000 bff0000000000000 00000001 00000000 00000000 00000003"
-            "00000001 00000000 00000000 00000001",
-        ),
-    ):
-        assert encode(message, vocabulary) == bytes.fromhex(expected)
 
 
 @pytest.mark.parametrize("terminal", [1, 2, -1])
@@ -388,13 +345,6 @@ def test_surplus_payload_is_ignored() -> None:
     for vocabulary, kind, payload in payloads():
         plain = decode(raw(kind, payload), vocabulary)
         assert decode(raw(kind, payload + bytes(SURPLUS)), vocabulary) == plain
-
-
-def test_an_unfinished_frame_gives_nothing() -> None:
-    for vocabulary, kind, payload in payloads():
-        whole = raw(kind, payload)
-        for end in range(len(whole)):
-            assert decode(whole[:end], vocabulary) == []
 
 
 @pytest.mark.parametrize("counts", [(MAX_COUNT + 1, 0, 0), (0, MAX_COUNT + 1, 0), (0, 0, MAX_COUNT + 1)])

@@ -145,20 +145,6 @@ def test_messages_go_both_ways_with_their_flags_encrypted() -> None:
     assert first[2:10] == b"\x07MESSAGE"
 
 
-def test_bytes_that_come_one_by_one_are_understood() -> None:
-    decoder, client = Decoder(ROUTER, MAX_FRAME, server()), CurveClient(CAROL, SERVER.public)
-
-    def one_by_one(data: bytes) -> list[list[bytes] | bytes]:
-        return [event for at in range(len(data)) for event in events(decoder, data[at : at + 1])]
-
-    assert one_by_one(CLIENT_GREETING) == []
-    [welcome] = one_by_one(command(client.hello()))
-    assert isinstance(welcome, bytes)
-    client.welcome(welcome[2:])
-    assert len(one_by_one(command(client.initiate()))) == 1
-    assert one_by_one(client.message(bytes(300), 1) + client.message(b"")) == [[bytes(300), b""]]
-
-
 def test_a_ping_is_answered_encrypted() -> None:
     decoder, client = connected()
     [pong] = events(decoder, client.message(b"\x04PING\x00\x10abc", 2))
@@ -213,13 +199,6 @@ def test_an_initiate_is_checked_whoever_made_it(bent: Bent) -> None:
     with pytest.raises(RemoteProtocolError):
         events(decoder, command(bent(client)))
     assert not decoder.ready
-
-
-def test_the_client_is_known_only_after_its_initiate() -> None:
-    mechanism = server()
-    assert mechanism.client == b""
-    connected(mechanism)
-    assert mechanism.client == CAROL.public
 
 
 def test_an_encrypted_frame_has_a_long_head_from_256_bytes_on() -> None:

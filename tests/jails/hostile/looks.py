@@ -28,8 +28,17 @@ _FAMILIES = 64
 
 _IO_URING_SETUP = 425
 
-_LOAD = ("loadavg", "stat", "meminfo", "vmstat", "uptime", "schedstat", "pressure/cpu", "interrupts")
+_LOAD = (
+    *("loadavg", "stat", "meminfo", "vmstat", "uptime", "schedstat", "pressure/cpu", "interrupts"),
+    *("sys/fs/file-nr", "sys/fs/inode-nr", "sys/fs/dentry-state", "sys/fs/aio-nr"),
+)
 """Files of /proc that show how busy the whole machine is."""
+
+_LOAD_OF_PARTS = (
+    *("devices/system/node/node*/*", "devices/system/cpu/cpu*/*/*", "devices/system/cpu/cpu*/cpuidle/*/*"),
+    *("block/*/stat", "class/thermal/*/temp", "fs/ext4/*/*", "kernel/mm/*/*"),
+)
+"""Files of /sys that show the same of memory, processors and disks."""
 
 _SKIPPED = ("/proc", "/sys", "/usr", "/opt", "/lib", "/bin", "/sbin", "/etc/ssl", "/var/lib/dpkg")
 """Directories of the image and the kernel, with nothing of the organiser's; part of /proc is read."""
@@ -37,7 +46,7 @@ _SKIPPED = ("/proc", "/sys", "/usr", "/opt", "/lib", "/bin", "/sbin", "/etc/ssl"
 
 def reached() -> Iterator[str]:
     """Yield everything that could be reached over any network."""
-    for name in os.listdir("/sys/class/net"):
+    for _, name in socket.if_nameindex():
         if name != "lo":
             yield f"interface {name}"
     for host in _HOSTS:
@@ -95,10 +104,11 @@ def files() -> Iterator[Path]:
 
 def found() -> Iterator[str]:
     """Yield the machine's load, sockets, devices that can be opened, and the beginnings of files."""
-    for name in _LOAD:
+    parts = (path for pattern in _LOAD_OF_PARTS for path in Path("/sys").glob(pattern))
+    for path in (*(Path("/proc", name) for name in _LOAD), *parts):
         with suppress(OSError):
-            if text := Path("/proc", name).read_text():
-                yield f"load {name}: {text[:80]!r}"
+            if text := path.read_text():
+                yield f"load {path}: {text[:80]!r}"
     for path in files():
         with suppress(OSError):
             if path.is_socket():

@@ -80,6 +80,7 @@ def test_a_run_with_keys_is_the_run_without_even_if_the_network_breaks(folder: K
     assert len(set(plain[0])) > EPISODES // 2
 
 
+@pytest.mark.stage("keys")
 def test_mutated_handshakes_open_nothing_and_disturb_nobody(tmp_path: Path) -> None:
     # A stage of .ci/run tries 10^5 of them.
     assert "nothing in" in run(200, tmp_path)
@@ -89,6 +90,7 @@ def glue_keys(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return forked.run("glue-keys", *arguments, cwd=cwd, timeout=TIMEOUT)
 
 
+@pytest.mark.stage("keys")
 def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:
     made = glue_keys("new", "carol", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
@@ -179,6 +181,7 @@ def spoiled(keys: KeyFolder) -> Iterator[str]:
     aside.rename(keys.path)
 
 
+@pytest.mark.stage("keys")
 def test_keys_that_cannot_be_read_cost_one_line_and_change_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()
@@ -266,6 +269,7 @@ def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(tmp_
             process.communicate(timeout=TIMEOUT)
 
 
+@pytest.mark.stage("keys")
 def test_who_else_can_join_is_said_where_players_from_outside_are_expected(tmp_path: Path) -> None:
     outside = ("--env", "mines", "--episodes", "1", "--bind", "tcp://127.0.0.1:*")
     with start(*outside, cwd=tmp_path) as process:

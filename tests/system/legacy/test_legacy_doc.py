@@ -106,13 +106,12 @@ def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
     hub = Terminal(*shlex.split(first), *BIND, cwd=tmp_path)
     with closing(hub):
         found = [
-            hub.wait_for("^" + re.sub("4096|5096", r"(\\d+)", re.escape(line)) + "$")
+            hub.wait_for("^" + re.sub("4097|4096|5096", r"(\\d+)", re.escape(line)) + "$")[1]
             for line in re.findall(r"^    (listening .*)$", text, re.MULTILINE)
         ]
-        address = hub.wait_for(r"listening on (tcp://\S+)")[1]
-        second = second.replace("tcp://127.0.0.1:4097", address)
+        second = second.replace("4097", found[0])
         with closing(Terminal(*shlex.split(second), cwd=tmp_path)) as experiment:
-            play_agent(Runner(), Connection(int(found[1][1]), STYLES["java"], timeout=COMPILATION))
+            play_agent(Runner(), Connection(int(found[2]), STYLES["java"], timeout=COMPILATION))
             assert experiment.end() == 0
             experiment.wait_for(r"/mario/0 .* 3/3 ")
         for line in re.findall(rf"^    {TIME} (session .*)$", text, re.MULTILINE):

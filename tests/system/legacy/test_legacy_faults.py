@@ -27,7 +27,6 @@ from glue.wire.messages import Kind, Message
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_client import (
-    STYLES,
     TIMEOUT,
     Closed,
     Connection,
@@ -231,19 +230,6 @@ def test_what_was_to_be_asked_next_is_forgotten_when_the_experiment_leaves(rig: 
     assert ending(agent) == TERMINATE
 
 
-def test_the_goodbye_waits_for_an_answer_that_is_no_longer_needed(rig: Rig) -> None:
-    agent = join(rig, Id.AGENT_CONNECTION)
-    glue = rig.experiment()
-    glue.connection.send(Id.RL_AGENT_START, EMPTY)
-    assert agent.receive() == (Id.AGENT_START, EMPTY)
-    glue.connection.reset()
-    rig.log.wait_for("was dismissed")
-    rig.settle()
-    assert agent.nothing_received()
-    agent.send(Id.AGENT_START, EMPTY)
-    assert ending(agent) == TERMINATE
-
-
 def test_an_experiment_that_died_in_a_call_is_noticed_at_once_and_another_may_join(rig: Rig) -> None:
     agent = join(rig, Id.AGENT_CONNECTION)
     glue = rig.experiment()
@@ -325,19 +311,6 @@ def test_a_crowd_of_silent_connections_keeps_no_program_out_and_is_summed_up_in_
     assert int(summed_up) >= 300 - 256 - 1
 
 
-def test_malformed_connections_are_summed_up_in_the_log() -> None:
-    with gateway() as rig:
-        for _ in range(20):
-            intruder = rig.connect()
-            intruder.send_raw(b"GET / HTTP/1.1\r\n\r\n")
-            with suppress(ConnectionResetError):
-                intruder.receive_until_closed()
-            intruder.close()
-    lines = str(rig.log).splitlines()
-    assert "is not an RL-Glue program" in lines[0]
-    assert lines[1:] == ["19 more connections were dropped: it is not an RL-Glue program"]
-
-
 def test_no_session_has_more_than_one_request_taken_up_in_a_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     turns = Counter[tuple[str, float]]()
     hub = Hub(HubConfig(("tcp://127.0.0.1:*",)))
@@ -357,15 +330,6 @@ def test_no_session_has_more_than_one_request_taken_up_in_a_turn(monkeypatch: py
             greedy.receive()
     assert sum(count for (kind, _), count in turns.items() if kind == "RL_NUM_STEPS") == 500
     assert max(turns.values()) == 1
-
-
-def test_all_requests_before_a_half_close_that_need_no_player_are_answered(rig: Rig) -> None:
-    count = 500
-    glue = rig.experiment()
-    glue.connection.send_raw(struct.pack(">iI", Id.RL_NUM_STEPS, 0) * count)
-    glue.connection.close_writing()
-    answers = ending(glue.connection)
-    assert answers == struct.pack(">iIi", Id.RL_NUM_STEPS, 4, 0) * count
 
 
 def test_all_requests_before_a_half_close_are_answered_behind_calls_of_players_too(rig: Rig) -> None:
@@ -586,28 +550,6 @@ def test_a_hub_that_ends_does_not_wait_forever() -> None:
     assert ending(agent) == TERMINATE
     assert ending(silent) == b""
     assert_reset(glue.connection)
-
-
-def test_a_hub_that_ends_says_goodbye_to_originals_that_wait(rig: Rig) -> None:
-    rig.agent(MirrorAgent())
-    rig.environment(FiveStepEnvironment())
-    glue = rig.experiment()
-    rig.log.wait_for("joined", times=2)
-    rig.settle()
-    rig.hub.stop("enough")
-    rig.join()
-    assert_reset(glue.connection)
-
-
-def test_the_last_messages_in_every_style_are_received_completely(rig: Rig) -> None:
-    for style in STYLES.values():
-        rig.agent(MirrorAgent(), style)
-        rig.environment(FiveStepEnvironment(), style)
-        glue = rig.experiment(style)
-        glue.init()
-        glue.close()
-        rig.join()
-    assert "malformed" not in str(rig.log)
 
 
 # Errors of the gateway itself, its log, and its share of the hub's memory: no other session notices them.

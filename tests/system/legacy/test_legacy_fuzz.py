@@ -226,12 +226,9 @@ LONGEST = 12 + 13 * 1_000_000
 
 FLOODS = {
     "agent, step": (struct.pack(">iI", Id.AGENT_STEP, LONGEST), LONGEST),
-    "environment, step": (struct.pack(">iI", Id.ENV_STEP, LONGEST + 12), LONGEST),
     "experiment, idle": (struct.pack(">iI", Id.RL_ENV_STEP, LONGEST), LONGEST),
     "experiment, waiting": (struct.pack(">iI", Id.RL_NUM_STEPS, 0) * 8192, 2**20),
     "without a role": (struct.pack(">iI", AGENT, 65_536), 65_536),
-    "agent, abandoned": (b"\1" * 65_536, 0),
-    "agent, idle": (struct.pack(">iI", Id.AGENT_STEP, LONGEST), LONGEST),
 }
 """Data to send repeatedly, or before endless zeros, and the number of bytes of it that may be held."""
 

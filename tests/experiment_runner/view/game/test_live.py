@@ -85,6 +85,7 @@ def test_a_page_sees_what_is_played_and_the_run_does_not_change(page: Page, tmp_
         known |= stream.next().get(topic) or {}
 
 
+@pytest.mark.stage("page")
 def test_a_run_that_was_killed_is_not_shown_as_going_on(page: Page, tmp_path: Path) -> None:
     with contextlib.closing(Terminal(*ENDLESS, "--env", "mines", "--out", "a", cwd=tmp_path)) as running:
         topic = f"live:{started(page, page.stream('topic=runs'))}"
@@ -97,6 +98,7 @@ def test_a_run_that_was_killed_is_not_shown_as_going_on(page: Page, tmp_path: Pa
         known |= stream.next().get(topic) or {}
 
 
+@pytest.mark.stage("page")
 def test_nothing_is_named_where_there_is_no_hub(page: Page, tmp_path: Path) -> None:
     with playing("--out", "a", "--in-process", cwd=tmp_path):
         run_id = started(page, page.stream("topic=runs"))
