@@ -50,7 +50,6 @@ SERVER.set_forkserver_preload(
         "experiment_runner.report.tables",
         "experiment_runner.view.server",
         "matplotlib.figure",
-        "scipy.stats",
         "tests.forked",
         "tests.glue.conform.forked",
         "tests.glue.conform.wrong_experiment",

@@ -46,9 +46,6 @@ def compare(a: FloatArray, b: FloatArray, rng: np.random.Generator) -> Compariso
     Args:
         a, b: performance in each trial, shape (trials,), at least one; element i of both has the same seed.
         rng: for resampling.
-
-    Raises:
-        ExperimentError: SciPy is not installed.
     """
     chosen = rng.integers(len(a), size=(_RESAMPLES, len(a)))
     resampled = interquartile_mean(a[chosen], axis=1) - interquartile_mean(b[chosen], axis=1)

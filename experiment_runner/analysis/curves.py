@@ -92,9 +92,6 @@ def over_episodes(
         window: episodes in the running mean.
         rng: for resampling.
         span: first and last episode of interest.
-
-    Raises:
-        ExperimentError: SciPy is not installed.
     """
     means = running_mean(values, window)
     first = max(0, int(max(span[0], 0)) - window)
@@ -119,9 +116,6 @@ def over_steps(
         window: steps in the running mean.
         rng: for resampling.
         span: first and last step of interest.
-
-    Raises:
-        ExperimentError: SciPy is not installed.
     """
     first = max(span[0], window)
     last = min(span[1], *(trial.steps[-1] for trial in totals), 2**63)
@@ -143,9 +137,6 @@ def of_metric(
         readings: steps and values of each trial that has the metric.
         rng: for resampling.
         span: first and last step of interest.
-
-    Raises:
-        ExperimentError: SciPy is not installed.
     """
     known = [(steps[~np.isnan(values)], values[~np.isnan(values)]) for steps, values in readings]
     known = [(steps, values) for steps, values in known if steps.size]

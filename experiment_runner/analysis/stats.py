@@ -1,9 +1,10 @@
 """Statistics of episode returns. Pure functions; random numbers come from a generator that is passed in.
 
 Intervals are stratified percentile bootstrap intervals over trials: trials are resampled within each
-setting (such as a level), never across settings. SciPy (extra `plot`) resamples and trims.
-Source of the method: Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
-Statistical Precipice". Their library, rliable, is not used: its random_state has no effect.
+setting (such as a level), never across settings. Source of the method: Agarwal et al. (2021), "Deep
+Reinforcement Learning at the Edge of the Statistical Precipice". Their library, rliable, is not used: its
+random_state has no effect. Neither is SciPy's `bootstrap`, whose numbers these are to the last bit: importing
+it takes longer than showing a run. Only tests and tolerance intervals need SciPy (extra `plot`).
 """
 
 from __future__ import annotations
@@ -99,10 +100,15 @@ def mean(values: FloatArray, axis: int = 0) -> Any:
 def interquartile_mean(values: FloatArray, axis: int = 0) -> Any:
     """Return the mean along an axis of the middle half: a quarter, rounded down, is trimmed at either end.
 
-    Raises:
-        ExperimentError: SciPy is not installed.
+    Args:
+        values: at least one along the axis; a NaN makes their mean NaN.
+        axis: of the values.
     """
-    return _scipy_stats().trim_mean(values, 0.25, axis=axis)
+    values = np.moveaxis(values, axis, -1)
+    count = values.shape[-1]
+    cut = count // 4
+    middle = np.partition(values, (cut, count - cut - 1))[..., cut : count - cut].mean(axis=-1)
+    return np.where(np.isnan(values).any(axis=-1), np.nan, middle)[()]
 
 
 def binomial_cdf(k: int, n: int, p: float) -> float:
@@ -147,44 +153,33 @@ def estimate(
 
     Returns:
         Arrays of shape (...). Low and high are NaN if a stratum has fewer than two trials.
-
-    Raises:
-        ExperimentError: SciPy is not installed.
     """
-    stats = _scipy_stats()
-
-    def pooled(*samples: FloatArray, axis: int) -> Any:
-        return statistic(np.concatenate(samples, axis=axis), axis=axis)
-
-    value = np.asarray(pooled(*strata, axis=0), np.float64)
+    value = np.asarray(statistic(np.concatenate(strata), axis=0), np.float64)
     if min(len(stratum) for stratum in strata) < 2:
         return Estimate(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
+    at_once = max(1, _ELEMENTS_AT_ONCE // sum(stratum.size for stratum in strata))
+    trials_last = [np.moveaxis(stratum, 0, -1) for stratum in strata]
+    found = []
     with np.errstate(invalid="ignore"):  # returns may be infinite
-        interval = stats.bootstrap(
-            strata,
-            pooled,
-            n_resamples=resamples,
-            batch=max(1, _ELEMENTS_AT_ONCE // sum(stratum.size for stratum in strata)),
-            vectorized=True,
-            confidence_level=confidence,
-            method="percentile",
-            rng=rng,
-        ).confidence_interval
-    return Estimate(value, np.asarray(interval.low, np.float64), np.asarray(interval.high, np.float64))
+        for first in range(0, resamples, at_once):
+            size = min(at_once, resamples - first)
+            drawn = [of[..., rng.integers(of.shape[-1], size=(size, of.shape[-1]))] for of in trials_last]
+            found.append(statistic(np.concatenate(drawn, axis=-1), axis=-1))
+        return Estimate(value, *_middle(np.concatenate(found, axis=-1), confidence))
 
 
-def has_scipy() -> bool:
-    """Return whether SciPy is installed; intervals and interquartile means need it."""
-    try:
-        require_scipy()
-    except ExperimentError:
-        return False
-    return True
+def _middle(found: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
+    """Return the ends of the middle share of the values along the last axis; NaN if one of these is NaN."""
+    count = found.shape[-1]
+    ordered = np.sort(found, axis=-1)  # NaN last
+    tail = (1 - share) / 2
 
+    def end(quantile: float) -> FloatArray:  # interpolated linearly
+        beyond, place = math.modf(quantile * count + (1 - quantile))  # counting from 1
+        low, high = ordered[..., int(place) - 1], ordered[..., min(int(place), count - 1)]
+        return np.where(np.isnan(ordered[..., -1]), np.nan, (1 - beyond) * low + beyond * high)
 
-def require_scipy() -> None:
-    """Raise ExperimentError if SciPy is not installed."""
-    _scipy_stats()
+    return end(tail), end(1 - tail)
 
 
 def _scipy_stats() -> Any:
@@ -192,6 +187,6 @@ def _scipy_stats() -> Any:
         from scipy import stats  # type: ignore[import-untyped]  # it has no types
     except ImportError:
         raise ExperimentError(
-            "intervals and interquartile means need SciPy: pip install 'glue-rl[plot]'"
+            "t-tests and tolerance intervals need SciPy: pip install 'glue-rl[plot]'"
         ) from None
     return stats

@@ -311,7 +311,7 @@ def _load(file: Path) -> Competition:
 
 def main() -> None:
     """Run the command."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's and SciPy's: returns may be infinite or NaN
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     run(compete)
 
 

@@ -150,7 +150,6 @@ def generalise(
     """
     if context.invoked_subcommand:
         return 0
-    from experiment_runner.analysis.stats import require_scipy
     from experiment_runner.executors.run import RunConfig, run_trials
     from experiment_runner.meeting.players import BOTH, Meeting
     from experiment_runner.report.progress import Progress
@@ -188,7 +187,6 @@ def generalise(
         questions=(LAST_REWARD, LAST_ACTIONS, *benchmark.questions),
     )
     check_backend(config)
-    require_scipy()  # now, not after hours of playing
     is_file = out is not None and out.suffix == ".json"
     given = out.with_suffix("") if out is not None and is_file else out
     with ExitStack() as stack:

@@ -80,7 +80,6 @@ def paper(
       glue-paper 7 --trials 2 --episodes 300 --out runs/quick
       glue-paper --report-only
     """
-    from experiment_runner.analysis.stats import require_scipy
     from experiment_runner.report.tables import terminal_width
     from experiment_runner.study.paper.report import write_report
     from experiment_runner.study.paper.tables import as_text
@@ -96,7 +95,6 @@ def paper(
         )
         for name in chosen
     }
-    require_scipy()  # now, not after hours of learning
     failed = 0
     for name, plan in plans.items():
         say(f"{name}: {EXPERIMENTS[name].title}")

@@ -182,7 +182,7 @@ def plot(
 
 def main() -> None:
     """Run `glue-plot`."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's and SciPy's: returns may be infinite or NaN
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     run(plot)
 
 

@@ -519,7 +519,7 @@ def _say_all(lines: Iterable[str]) -> None:
 
 def main() -> None:
     """Run `glue-results`."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's and SciPy's: returns may be infinite or NaN
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     run(results)
 
 

@@ -120,7 +120,7 @@ def _has_display() -> bool:
 
 def main() -> None:
     """Run `glue-view`."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's and SciPy's: returns may be infinite or NaN
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     run(view)
 
 

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from experiment_runner.analysis.stats import interquartile_mean, require_scipy
+from experiment_runner.analysis.stats import interquartile_mean
 from experiment_runner.executors.resume import (
     check_sources,
     go_back,
@@ -62,12 +62,10 @@ def tune(
         again: command that continues after an interruption; empty for none.
 
     Raises:
-        ExperimentError: the folder is of another plan, every configuration of an agent has failed, or
-            SciPy is not installed.
+        ExperimentError: the folder is of another plan, or every configuration of an agent has failed.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
     assert plan.tune is not None
-    require_scipy()
     with _open(directory / SEARCH, plan, [], reporter.say) as store:
 
         def run() -> None:

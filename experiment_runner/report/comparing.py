@@ -61,7 +61,7 @@ def compared(a: Results, b: Results, over: str) -> list[Row]:
         over: `episodes` or `steps`.
 
     Raises:
-        ExperimentError: a run cannot be read, the runs have no trials in common, or SciPy is not installed.
+        ExperimentError: a run cannot be read, or the runs have no trials in common.
     """
     rng = bootstrap_rng()
     rows = []

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from experiment_runner.analysis.settings import Setting
-from experiment_runner.analysis.stats import FEW_TRIALS, has_scipy
+from experiment_runner.analysis.stats import FEW_TRIALS
 from experiment_runner.report.overview import FEW, setting_numbers
 from experiment_runner.report.tables import counted
 from glue.console import one_line
@@ -70,9 +70,7 @@ def _notes(settings: Sequence[Setting], numbers: Sequence[dict[str, object]], ov
     counts = sorted({len(setting.counted()) for setting in settings})
     trials = counted(counts[0], "trial") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} trials"
     part = "last 100 episodes" if over == "episodes" else "last tenth of the steps"
-    notes = [f"Mean over {trials} of the mean return of the {part}"]
-    if has_scipy():
-        notes[0] += ", with its 95 % bootstrap interval"
+    notes = [f"Mean over {trials} of the mean return of the {part}, with its 95 % bootstrap interval"]
     if any(row["few_trials"] for row in numbers):
         notes.append(f"{FEW.strip()} of fewer than {FEW_TRIALS} trials: the interval may well miss the mean")
     left = [trial for setting in settings for trial in setting.trials if not trial.finished]

@@ -19,7 +19,6 @@ from experiment_runner.analysis.stats import (
     bootstrap_rng,
     convergence_episode,
     estimate,
-    has_scipy,
     interquartile_mean,
     mean,
     mean_of_last,
@@ -164,9 +163,7 @@ def as_text(
     if metrics := [row for run in runs for row in metric_rows(run)]:
         lines += ["", format_table(("metric", "trials", "values", "last"), metrics, width=width)]
     notes = []
-    if not has_scipy():
-        notes.append("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
-    elif any(cells[4].endswith(FEW) for cells in rows):
+    if any(cells[4].endswith(FEW) for cells in rows):
         notes.append(f"({FEW.strip()} of fewer than {FEW_TRIALS} trials: they may well miss the mean)")
     for run in runs:
         notes += _notes(run)
@@ -313,11 +310,10 @@ def _numbers(setting: Setting, over: str, rng: np.random.Generator) -> dict[str,
             reached = np.array([mean_of_last(returns, _WINDOW) for returns in begun])
             numbers["converged"] = convergence_episode(mean(setting.curves()), _WINDOW)
         numbers["mean"] = float(mean(reached))
-        if has_scipy():
-            _, low, high = estimate([reached], mean, rng)
-            if not np.isnan(low):
-                numbers |= {"low": float(low), "high": float(high)}
-            numbers["interquartile_mean"] = float(interquartile_mean(reached))
+        _, low, high = estimate([reached], mean, rng)
+        if not np.isnan(low):
+            numbers |= {"low": float(low), "high": float(high)}
+        numbers["interquartile_mean"] = float(interquartile_mean(reached))
     return numbers
 
 

@@ -12,7 +12,6 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
-from experiment_runner.analysis.stats import has_scipy
 from experiment_runner.view import assets, episodes, stream
 from experiment_runner.view.catalog import NOTES_LIMIT, Catalog, Watcher, checked_notes, write_notes
 from experiment_runner.view.curves import curves, drawn, look_of, wanted_by
@@ -37,7 +36,7 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
     """
     catalog = Catalog(folders)
     catalog.find()
-    read = Reader("reader", has_scipy)  # importing SciPy takes longer than any curve
+    read = Reader("reader")
     sources: dict[str, stream.Source] = {
         "runs": Watcher(catalog, pulse).open,
         "live": Live(catalog, pulse).open,

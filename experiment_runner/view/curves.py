@@ -57,7 +57,7 @@ def curves(wanted: Wanted) -> dict[str, Any]:
     """Return the curves of some runs, and their table.
 
     Raises:
-        ExperimentError: a run cannot be read, two have a trial in common, or SciPy is not installed.
+        ExperimentError: a run cannot be read, or two have a trial in common.
     """
     with ExitStack() as stack:
         runs = [stack.enter_context(Results.open(path)) for path in wanted.directories]

@@ -28,11 +28,9 @@ class Reader:
 
     Args:
         name: of the thread.
-        prepare: called by the thread before anything else; must not raise.
     """
 
-    def __init__(self, name: str, prepare: Callable[[], object] = object) -> None:
-        self._prepare = prepare
+    def __init__(self, name: str) -> None:
         self._calls: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = queue.SimpleQueue()
         threading.Thread(target=self._work, name=name, daemon=True).start()
 
@@ -43,7 +41,6 @@ class Reader:
         return await asyncio.wrap_future(future)
 
     def _work(self) -> None:
-        self._prepare()
         while True:
             future, function = self._calls.get()
             if not future.set_running_or_notify_cancel():

@@ -33,7 +33,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "minari": ["env_server/datasets/*"],
     **{key: ["experiment_runner/loggers/*"] for key in ("mlflow", "tensorboard", "trackio", "wandb")},
     "optuna": ["experiment_runner/executors/samplers.py"],
-    "scipy": ["experiment_runner/analysis/*"],
+    "scipy": ["experiment_runner/analysis/stats.py"],
     "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
     "gymnasium": ["glue/gym/*", "env_server/gym/*", "env_server/datasets/*", "agents/ppo.py"],

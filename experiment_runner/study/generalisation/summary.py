@@ -45,11 +45,7 @@ class Summary(NamedTuple):
 
 
 def summarise(document: Document) -> Summary:
-    """Return the summary of the scores on training levels and on unseen ones.
-
-    Raises:
-        ExperimentError: SciPy is not installed.
-    """
+    """Return the summary of the scores on training levels and on unseen ones."""
     trials = document["trials"]
     train, test = (
         [_scores([trial[levels] for trial in trials], what) for what in _SCORES]
@@ -69,7 +65,6 @@ def table(documents: Sequence[Document], solvable: Set[int] = frozenset(), *, pl
 
     Raises:
         ConfigError: some have scores for each difficulty, and others do not.
-        ExperimentError: SciPy is not installed.
     """
     kinds = {bool(document.get("sets")) for document in documents}
     if len(kinds) > 1:

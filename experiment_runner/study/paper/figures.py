@@ -29,7 +29,7 @@ def figures(outcomes: Sequence[LevelResults]) -> dict[str, Figure]:
     best                 every episode of `best` on the paper's level seed, by difficulty
 
     Raises:
-        ExperimentError: matplotlib or SciPy is not installed.
+        ExperimentError: matplotlib is not installed.
     """
     drawn = {}
     for experiment in EXPERIMENTS.values():

@@ -143,14 +143,6 @@ def test_finished_competition_is_finished_whatever_its_episodes(run: Path) -> No
         assert overview(results).state == "finished"
 
 
-def test_show_without_scipy_leaves_the_intervals_out(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "scipy", None)
-    shown = call("show", run)
-    random = next(line for line in shown.splitlines() if line.startswith("random"))
-    assert random.split() == ["random", "2/2", "8", "5.31", "-", "-", "-"]
-    assert "pip install 'glue-rl[plot]'" in shown
-
-
 def test_show_of_a_run_that_has_only_begun(tmp_path: Path) -> None:
     make(tmp_path / "run", [0, 0, 0, 0])
     assert "random" in call("show", tmp_path / "run")

@@ -137,15 +137,6 @@ def test_report_without_episodes_is_an_error(tmp_path: Path) -> None:
         write_report(tmp_path)
 
 
-def test_missing_scipy_is_an_error_before_anything_is_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "scipy", None)
-    with pytest.raises(ExperimentError, match="need SciPy"):
-        call("sample", "--out", tmp_path / "runs")
-    assert not (tmp_path / "runs").exists()
-
-
 def test_command_runs_what_is_missing_and_reports(tmp_path: Path) -> None:
     arguments = [
         "-m",
