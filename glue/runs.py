@@ -9,13 +9,13 @@ from __future__ import annotations
 import os
 from abc import abstractmethod
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy.typing as npt
 
 from glue.errors import ConfigError
+from glue.installed import entry_points
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,6 +72,6 @@ def load_run(directory: str | os.PathLike[str]) -> RunData:
         ExperimentError: the directory holds no run, or the run cannot be read.
         ConfigError: the package that reads runs is not installed.
     """
-    for entry_point in entry_points(group=_GROUP, name=_NAME):
+    for entry_point in entry_points(_GROUP).select(name=_NAME):
         return cast(RunData, entry_point.load()(directory))
     raise ConfigError("load_run needs the package experiment_runner: pip install glue-rl")

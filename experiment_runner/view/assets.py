@@ -7,7 +7,6 @@ their contents. The page imports its `drawing.js`; docs/view.md describes what t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +17,7 @@ from starlette.routing import BaseRoute, Route
 
 from experiment_runner.view.reader import json_response
 from glue.errors import ConfigError, GlueError
+from glue.installed import entry_points
 
 Drawing = Mapping[str, Callable[[], bytes]]
 """Functions that return the contents of a drawing's files, by name."""
@@ -77,7 +77,7 @@ def _drawings() -> tuple[dict[str, Drawing], dict[str, str]]:
     """Return the installed drawings, and why others cannot be loaded; both by name."""
     drawings: dict[str, Drawing] = {}
     problems: dict[str, str] = {}
-    for point in entry_points(group="glue.drawings"):
+    for point in entry_points("glue.drawings"):
         try:
             drawings[point.name] = dict(point.load())
         except Exception as error:  # of any kind: it is another package's module

@@ -12,12 +12,12 @@ import json
 import math
 import os
 from collections.abc import Callable
-from importlib.metadata import entry_points
 from typing import Any, Final, TextIO, TypeAlias
 
 from glue.closing import Closing
 from glue.doors import clock
 from glue.errors import ConfigError
+from glue.installed import entry_points
 from glue.roles import Environment
 from glue.types import Observation
 
@@ -71,8 +71,8 @@ def film(environment: Environment) -> Film:
 
 def _offered(environment: Environment, group: str) -> Any:
     """Return the entry of an environment, or of a class above it, in an entry-point group, or None."""
-    installed = {point.value: point.name for point in entry_points(group="glue.environments")}
-    points = {point.name: point for point in entry_points(group=group)}
+    installed = {point.value: point.name for point in entry_points("glue.environments")}
+    points = {point.name: point for point in entry_points(group)}
     for base in type(environment).__mro__:
         point = points.get(installed.get(f"{base.__module__}:{base.__qualname__}", ""))
         if point is not None:

@@ -7,7 +7,6 @@ which takes the environment and the number of games.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib.metadata import entry_points
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy as np
 from glue.batches import Batch, Ragged, batch_task_spec, pack_batch, unpack_actions
 from glue.engine.calls import Answer, role_calls
 from glue.errors import ConfigError, PeerFailed
+from glue.installed import entry_points
 from glue.roles import Environment, EnvironmentLike, SeedableEnvironment, offers
 from glue.types import CUT_OFF, Action, Observation, Step
 from glue.wire.messages import Kind, Role
@@ -31,7 +31,7 @@ def make_batch(name: str, make: Callable[[], Environment], games: int) -> Enviro
     Raises:
         ConfigError: so many games do not fit.
     """
-    for point in entry_points(group="glue.batches", name=name):
+    for point in entry_points("glue.batches").select(name=name):
         batch: Environment = point.load()(make(), games)
         return batch
     return BatchedEnvironments([make() for _ in range(games)])

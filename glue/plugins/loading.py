@@ -22,18 +22,20 @@ import sys
 import traceback
 from collections.abc import Mapping
 from importlib.machinery import ModuleSpec, PathFinder
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 from glue.console import show_failure
 from glue.errors import ConfigError, GlueError, PeerFailed, described
+from glue.installed import entry_points
 from glue.options import Value, build
 from glue.suggestions import did_you_mean
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
     from glue.roles import Agent, Environment
 
 PACKAGES: Final = ("glue", "env_server", "agents", "experiment_runner")
@@ -116,7 +118,7 @@ def example(role: Role) -> str:
 
     The default is NAME.
     """
-    suggested = {point.name: point.value for point in entry_points(group="glue.examples")}.get(role)
+    suggested = {point.name: point.value for point in entry_points("glue.examples")}.get(role)
     return next((name for name, point in _installed(role).items() if point.value == suggested), "NAME")
 
 
@@ -140,7 +142,7 @@ def find(role: Role, name: str) -> type:
     if entry_point is not None:
         return _class_of(_import(entry_point.module), entry_point.attr, entry_point.module)
     prefix, _, rest = name.partition(":")
-    adapter = {point.name: point for point in entry_points(group=_ADAPTERS[role])}.get(prefix)
+    adapter = {point.name: point for point in entry_points(_ADAPTERS[role])}.get(prefix)
     if adapter is not None:
         if not rest:
             raise ConfigError(f"{name!r} is not complete: write {prefix}:NAME, as {prefix} names the {role}")
@@ -164,7 +166,7 @@ def file_in(name: str) -> str:
     prefix, colon, rest = source.partition(":")
     if not colon:
         return source
-    adapters = {point.name for group in _ADAPTERS.values() for point in entry_points(group=group)}
+    adapters = {point.name for group in _ADAPTERS.values() for point in entry_points(group)}
     return rest if prefix in adapters else source
 
 
@@ -191,7 +193,7 @@ def all_modules() -> list[tuple[str, ModuleType]]:
 
 def _adapted_name(role: Role, name: str) -> str:
     """Return the suggestion for a name like Gymnasium's CartPole-v1; empty for any other."""
-    known = any(point.name == "gymnasium" for point in entry_points(group=_ADAPTERS[role]))
+    known = any(point.name == "gymnasium" for point in entry_points(_ADAPTERS[role]))
     return f"; did you mean gymnasium:{name}?" if known and _GYMNASIUM_ID.fullmatch(name) else ""
 
 
@@ -206,7 +208,7 @@ def _classes_in_file(name: str) -> str:
 
 
 def _installed(role: Role) -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=_GROUPS[role])}
+    return {point.name: point for point in entry_points(_GROUPS[role])}
 
 
 def _class_docstrings(module: str) -> dict[str, str]:

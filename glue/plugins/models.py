@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from typing import Any
 
 from glue.errors import ConfigError
+from glue.installed import entry_points
 
 
 def find_model(name: str) -> Any:
@@ -14,7 +14,7 @@ def find_model(name: str) -> Any:
     Raises:
         ConfigError: no installed package offers one.
     """
-    for point in entry_points(group="glue.models", name=name):
+    for point in entry_points("glue.models").select(name=name):
         return point.load()
     raise ConfigError(
         f"no model of {name} is installed: agents that plan take it from the package of the environment, "

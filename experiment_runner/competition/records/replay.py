@@ -7,7 +7,6 @@ through its `env_step`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import entry_points
 from typing import Final, Protocol
 
 import numpy as np
@@ -15,6 +14,7 @@ import numpy.typing as npt
 
 from experiment_runner.plan.plan import TrialSpec
 from glue.engine.engine import role_seed
+from glue.installed import entry_points
 from glue.options import build
 from glue.plugins.loading import find
 from glue.roles import Environment, SeedableEnvironment, offers
@@ -70,7 +70,7 @@ def replay_of(spec: TrialSpec) -> tuple[Replay, str]:
     environment = made_for(spec)
     task_spec = environment.env_init()
     assert spec.environment is not None
-    for point in entry_points(group="glue.replays", name=spec.environment.name):
+    for point in entry_points("glue.replays").select(name=spec.environment.name):
         compiled: Replay = point.load()(environment)
         return compiled, task_spec
     return _StepByStep(environment), task_spec
