@@ -116,7 +116,7 @@ def create_trials(
             copies[name] = content
     contents: dict[str, str | bytes] = {**files, **copies, ABOUT_FILE: json.dumps(found, indent=2) + "\n"}
     store = Store.create(directory, specs, contents, clock=clock)
-    store.record_event("start", program())
+    store.record_event("start", found["program"])
     return store
 
 

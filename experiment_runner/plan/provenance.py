@@ -54,10 +54,16 @@ def program() -> str:
 
 def _packages() -> dict[str, str]:
     """Return the version of each installed distribution, by name."""
-    # `Distribution.name` and `.version` would read its whole description each time.
-    found = (distribution.metadata for distribution in metadata.distributions())
-    versions = [(str(fields["Name"]), fields["Version"]) for fields in found]
+    found = map(_fields, metadata.distributions())
+    versions = [(fields["Name"], fields["Version"]) for fields in found if "Name" in fields]
     return dict(sorted(versions, key=lambda one: one[0].lower()))
+
+
+def _fields(distribution: metadata.Distribution) -> dict[str, str]:
+    """Return the first value of each field; `distribution.metadata` would parse the description too."""
+    text = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
+    lines = text.partition("\n\n")[0].splitlines()
+    return dict(line.partition(": ")[::2] for line in reversed(lines))
 
 
 def _repository(folder: Path) -> dict[str, object] | None:
