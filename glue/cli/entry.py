@@ -39,6 +39,8 @@ def start(module: str) -> NoReturn:
     """Import the module of a command and run its `main`, which exits."""
     handle_signals()
     open_streams()
+    # NumPy's threads would spin for 2**26 cycles before they sleep, from its import on, in children too.
+    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "16")
     if found := others(sys.path):
         message = (
             f"note: {', '.join(found.values())} has the name of a package of glue-rl; commands use ours, "
