@@ -45,7 +45,7 @@ SERVER.set_forkserver_preload(
         "experiment_runner.cli.compete",
         "experiment_runner.competition.organiser",
         "experiment_runner.executors.run",
-        "experiment_runner.meeting.players",
+        "experiment_runner.meeting.over_hub",
         "experiment_runner.executors.recording",
         "experiment_runner.report.tables",
         "experiment_runner.view.server",

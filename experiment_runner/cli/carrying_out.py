@@ -24,10 +24,8 @@ from experiment_runner.executors.resume import (
     remaining,
 )
 from experiment_runner.executors.run import RunConfig, run_trials
-from experiment_runner.executors.search import tune
-from experiment_runner.meeting.players import HubOptions, listening
+from experiment_runner.meeting.players import HubOptions
 from experiment_runner.plan.plan import PLAYERS, Plan, class_files
-from experiment_runner.report.overview import date
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.report.tables import summarize, tabulate, terminal_width
 from experiment_runner.store.layout import clear
@@ -69,9 +67,13 @@ def carry_out(
         say(f"nothing is lost: continue with --resume {directory}")
 
     with kept_if_begun(directory, kept), ExitStack() as stack:
-        # Before anything is written, because an address may be in use.
         addresses = stack.enter_context(ExitStack())
-        meeting = addresses.enter_context(listening(plan, config.meeting, progress.say))
+        if not config.meeting.in_process:
+            from experiment_runner.meeting.over_hub import listening  # slow to import
+
+            # Before anything is written, because an address may be in use.
+            meeting = addresses.enter_context(listening(plan, config.meeting, progress.say))
+            config = replace(config, meeting=meeting)
         # A recording may be one of the run's own files: then the run's folder must exist first.
         inside = record is not None and record.absolute().parent == directory.absolute()
         recording = None if inside else stack.enter_context(recorded(record))
@@ -82,7 +84,6 @@ def carry_out(
         if inside:
             recording = stack.enter_context(recorded(record))
         wait = stack.enter_context(viewed(directory, progress.say)) if view else None
-        config = replace(config, meeting=meeting)
         left = remaining(store)
         if left:
             note_players_without_seed(store, plan, progress.say)
@@ -107,6 +108,8 @@ def carry_out(
 
 def carry_out_search(directory: Path, plan: Plan, config: RunConfig) -> int:
     """Search for the options of a plan's agents, and run the chosen ones; return the exit code."""
+    from experiment_runner.executors.search import tune
+
     progress = Progress(color=has_color(sys.stderr))
     again = "the same command, with --out " + shlex.quote(str(directory))
     began = time.monotonic()
@@ -131,6 +134,8 @@ def note_players_without_seed(store: Store, plan: Plan, say: Callable[[str], Non
 
 def _since(store: Store) -> str:
     """Return the date at which a run was finished, as in ` on 2026-11-22 10:30 UTC`, if it was recorded."""
+    from experiment_runner.report.overview import date
+
     time = finished_at(store)
     return "" if time is None else f" on {date(time)}"
 

@@ -12,7 +12,6 @@ from contextlib import contextmanager, suppress
 from typing import Any, Final, NamedTuple, TypeVar, get_args
 
 import msgpack
-import msgspec
 
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.recording import Recorder
@@ -284,6 +283,8 @@ def encode(value: object) -> bytes:
 
     A job's players are in one process, or use a hub that the executor starts.
     """
+    import msgspec  # slow to import
+
     fields = msgspec.to_builtins(value, builtin_types=(bytes,), enc_hook=str)
     return bytes(msgpack.packb([type(value).__name__, fields]))
 
@@ -298,6 +299,8 @@ def decode(value: Any, kinds: Mapping[str, type[_T]]) -> _T:
     Raises:
         ExperimentError: the value has none of these types.
     """
+    import msgspec  # slow to import
+
     try:
         name, fields = value
         return msgspec.convert(fields, kinds[name], dec_hook=_construct)

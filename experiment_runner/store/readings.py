@@ -13,7 +13,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -100,7 +99,11 @@ def unpacked(rows: Iterable[tuple[str, bytes]]) -> dict[str, Metric]:
 
 def pack_parts(parts: Mapping[str, Part]) -> bytes:
     """Return the parts of metrics by name, as a checkpoint keeps them."""
-    return msgspec.msgpack.encode(parts) if parts else b""
+    if not parts:
+        return b""
+    import msgspec  # slow to import
+
+    return msgspec.msgpack.encode(parts)
 
 
 def unpack_parts(saved: bytes) -> dict[str, Part]:
@@ -109,8 +112,12 @@ def unpack_parts(saved: bytes) -> dict[str, Part]:
     Raises:
         ExperimentError: the data of the checkpoint is damaged.
     """
+    if not saved:
+        return {}
+    import msgspec  # slow to import
+
     try:
-        return msgspec.msgpack.decode(saved, type=dict[str, Part]) if saved else {}
+        return msgspec.msgpack.decode(saved, type=dict[str, Part])
     except msgspec.MsgspecError as error:
         raise ExperimentError(f"the metrics of a checkpoint are damaged: {error}") from None
 

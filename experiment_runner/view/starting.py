@@ -14,7 +14,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.meeting import children
 from glue.errors import ConfigError
 
 _MODULE: Final = "experiment_runner.cli.view"
@@ -42,6 +41,8 @@ def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
     Raises:
         ExperimentError: the page's process cannot be started.
     """
+    from experiment_runner.meeting import children
+
     process = children.start(_MODULE, [str(directory), "--stderr"])
 
     def wait() -> None:

@@ -192,6 +192,32 @@ def run(command, found):
 """
 
 
+def test_commands_import_nothing_slow_that_they_do_not_need(tmp_path: Path) -> None:
+    cases = [
+        "glue-experiment --help",
+        "glue-experiment --env mines --agent sarsa --episodes 1 --trials 2 --in-process --out run",
+        "glue-results show run",
+    ]
+    found = run_cold(_IMPORTING, [f"{BIN}/{case}" for case in cases], tmp_path)
+    assert [one["status"] for one in found] == [0, 0, 0], found
+    told, played, shown = (set(one["modules"]) for one in found)
+    assert not {"numpy", "importlib.metadata", "subprocess"} & told
+    slow = {"scipy", "numba", "msgspec", "matplotlib", "experiment_runner.executors.search"}
+    hub = {"zmq", "glue.hub.sessions", "glue.hub.io.server", "glue.client.players", "glue.legacy.gateway"}
+    assert "numpy" in played & shown
+    assert not (slow | hub) & (played | shown)
+
+
+_IMPORTING = """
+def run(case, found):
+    sys.argv = case.split()
+    try:
+        runpy.run_path(sys.argv[0], run_name="__main__")
+    finally:
+        found["modules"] = list(sys.modules)
+"""
+
+
 @pytest.mark.parametrize("player", ["glue-env mines", "glue-agent sarsa"])
 def test_help_of_a_player_has_an_example_for_the_experiment_too(player: str, tmp_path: Path) -> None:
     command, name = player.split()

@@ -10,7 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
-from experiment_runner.meeting.players import HubOptions, Meeting, listening, open_experiment
+from experiment_runner.meeting.over_hub import listening
+from experiment_runner.meeting.players import HubOptions, Meeting, open_experiment
 from experiment_runner.plan.plan import Plan, RoleSweep
 from glue import load_run
 from glue.hub.config import LegacyPort
