@@ -156,8 +156,8 @@ class Forgetful(SarsaAgent):
 
 
 def test_configurations_of_players_that_cannot_save_are_pruned_and_start_over(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(FORGETFUL)
-    agent = replace(PLAN.agents[0], name=f"{tmp_path / 'mine.py'}:Forgetful")
+    (tmp_path / "forgetful.py").write_text(FORGETFUL)
+    agent = replace(PLAN.agents[0], name=f"{tmp_path / 'forgetful.py'}:Forgetful")
     plan = replace(searching(prune=True, final=1), agents=(agent,))
     for name, kind in (("forgetful", plan), ("saved", replace(plan, agents=PLAN.agents[:1]))):
         assert tune(tmp_path / name, kind, CONFIG, Silent())[1] == 0
