@@ -657,6 +657,14 @@ def test_an_error_in_accepting_costs_the_connection_alone(pair: Rig, monkeypatch
     play(pair)
 
 
+def test_a_body_that_is_larger_than_the_hub_takes_is_a_fault(pair: Rig) -> None:
+    liar = join(pair, Id.EXPERIMENT_CONNECTION, FAULTY)
+    liar.send(Id.RL_AGENT_MESSAGE, struct.pack(">I", 2**18 + 1) + b"x" * (2**18 + 1))
+    assert_reset(liar)
+    pair.log.wait_for(f"RL_AGENT_MESSAGE has a body of {2**18 + 1} bytes; this hub takes {2**18}")
+    play(pair)
+
+
 def test_bytes_of_original_programs_count_and_the_largest_holder_is_dropped(pair: Rig) -> None:
     announced = 12 + 4 * 500_000
     program = pair.connect(session=FAULTY)
