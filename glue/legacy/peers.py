@@ -84,7 +84,7 @@ class LegacyPeer:
         except Exception:
             # An error of this program's connection must not interrupt another program.
             connection.fail()
-            return False
+            delivered = False
         if not delivered or connection.unsent or self._held != _BASE:
             self._weigh()
         return delivered
