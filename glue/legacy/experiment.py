@@ -196,7 +196,6 @@ class LegacyExperiment(LegacyPeer):
             return
         if self._ahead is None:
             self._ahead = self._decoder.next_event()
-            self._weigh()
             if self._ahead is not None and self._ahead.kind is not Control.TERMINATE:
                 self._on_sending(SendingEvent.REQUEST_AHEAD)
         self._on_sending(SendingEvent.END)
@@ -207,7 +206,7 @@ class LegacyExperiment(LegacyPeer):
         self._on(ExperimentEvent.REQUEST)
         self._request = request
         if request.body:
-            self._weigh()
+            self._weigh()  # what is kept without having been buffered
         self._switchboard.receive(self, request, now)
 
     def _expect_end(self) -> None:

@@ -126,7 +126,7 @@ class LegacyPeer:
         return not connection.closed
 
     def _kept(self) -> int:
-        """Return the number of bytes in messages that are kept here; who keeps one weighs it at once."""
+        """Return the number of bytes in messages that are kept here."""
         return 0
 
     def ready(self, now: float) -> None:
