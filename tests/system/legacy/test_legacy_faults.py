@@ -24,6 +24,7 @@ from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPlayer
 from glue.types import Action, Observation
 from glue.wire.messages import Kind, Message
+from tests import weighing
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_client import (
@@ -191,7 +192,7 @@ def test_any_call_that_can_be_made_anew_is(rig: Rig, request_id: Id) -> None:
 ONE = pack_numbers(Numbers((1,)))
 
 
-def void_the_start(rig: Rig) -> tuple[Connection, Connection, Experiment]:
+def void_the_start(rig: Rig, observation: bytes = ONE) -> tuple[Connection, Connection, Experiment]:
     """Return agent, environment, experiment: the agent is still at work on a start that was made again."""
     agent, environment = join(rig, Id.AGENT_CONNECTION), join(rig, Id.ENVIRONMENT_CONNECTION)
     glue = rig.experiment()
@@ -203,7 +204,7 @@ def void_the_start(rig: Rig) -> tuple[Connection, Connection, Experiment]:
     rig.log.wait_for("to begin RL_START again")
     environment = join(rig, Id.ENVIRONMENT_CONNECTION)
     assert environment.receive()[0] == Id.ENV_START
-    environment.send(Id.ENV_START, ONE)
+    environment.send(Id.ENV_START, observation)
     rig.settle()
     assert agent.nothing_received()
     return agent, environment, glue
@@ -215,6 +216,26 @@ def test_an_agent_that_still_thinks_about_a_void_step_is_sent_nothing_until_it_h
     assert agent.receive() == (Id.AGENT_START, ONE)
     agent.send(Id.AGENT_START, pack_numbers(Numbers((101,))))
     assert glue.connection.receive() == (Id.RL_START, ONE + pack_numbers(Numbers((101,))))
+    glue.close()
+    for player in (agent, environment):
+        assert ending(player) == TERMINATE
+
+
+def test_a_call_that_had_to_wait_is_kept_no_longer_than_the_session_keeps_it(rig: Rig) -> None:
+    large = pack_numbers(Numbers((1,) * 30_000))
+    agent, environment, glue = void_the_start(rig, large)
+    agent.send(Id.AGENT_START, EMPTY)
+    assert agent.receive() == (Id.AGENT_START, large)
+    agent.send(Id.AGENT_START, EMPTY)
+    assert glue.connection.receive() == (Id.RL_START, large + EMPTY)
+    glue.connection.send(Id.RL_STEP)
+    assert environment.receive() == (Id.ENV_STEP, EMPTY)
+    environment.send(Id.ENV_STEP, struct.pack(">id", 0, 0.0) + ONE)
+    assert agent.receive()[0] == Id.AGENT_STEP
+    agent.send(Id.AGENT_STEP, EMPTY)
+    assert glue.connection.receive()[0] == Id.RL_STEP
+    rig.settle()
+    weighing.check(rig.hub)
     glue.close()
     for player in (agent, environment):
         assert ending(player) == TERMINATE
@@ -633,6 +654,14 @@ def test_an_error_in_accepting_costs_the_connection_alone(pair: Rig, monkeypatch
         patch.setattr("glue.legacy.gateway._Handshake", raise_fault)
         check_ended(pair.connect(session=FAULTY))
     pair.log.wait_for("please report this")
+    play(pair)
+
+
+def test_a_body_that_is_larger_than_the_hub_takes_is_a_fault(pair: Rig) -> None:
+    liar = join(pair, Id.EXPERIMENT_CONNECTION, FAULTY)
+    liar.send(Id.RL_AGENT_MESSAGE, struct.pack(">I", 2**18 + 1) + b"x" * (2**18 + 1))
+    assert_reset(liar)
+    pair.log.wait_for(f"RL_AGENT_MESSAGE has a body of {2**18 + 1} bytes; this hub takes {2**18}")
     play(pair)
 
 
