@@ -157,13 +157,6 @@ def test_printed_spec_reads_back_to_an_equal_value(spec: TaskSpec) -> None:
     assert str(back) == text
 
 
-@pytest.mark.parametrize("keyword", ["PROBLEMTYPE", "problemtype", "ProblemType"])
-def test_version_and_problem_type_end_where_a_keyword_begins(keyword: str) -> None:
-    text = f"VERSION RL-Glue-3.0{keyword} episodicdiscountfactor 1 OBSERVATIONS ACTIONS REWARDS (0 1)"
-    spec = parse_task_spec(text)
-    assert (spec.version, spec.problem_type) == (RL_GLUE_3, "episodic")
-
-
 @some
 @given(public_specs, st.randoms())
 def test_white_space_and_case_do_not_matter(spec: TaskSpec, random: Random) -> None:
@@ -196,24 +189,6 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 @pytest.mark.parametrize("text", CANONICAL)
 def test_canonical_text_is_printed_as_it_was(text: str) -> None:
     assert str(parse_task_spec(text)) == text
-
-
-def test_mario_of_the_competition_is_read() -> None:
-    spec = parse_task_spec(
-        "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 ACTIONS INTS (-1 1) (2 0 1)  "
-        "REWARDS (-10.0 100.0)"
-    )
-    assert spec == TaskSpec(
-        version=MARIO,
-        problem_type="episodic",
-        discount=1.0,
-        observations=Space(stated=False),
-        actions=Space(Ranges.of(Range(-1, 1), Range(0, 1), Range(0, 1))),
-        rewards=Range(-10, 100),
-    )
-    assert spec.observations.check(Observation([1] * 23, [0.5] * 44, bytes(352))) is None
-    assert spec.actions.check(Action([-1, 0, 1])) is None
-    assert spec.actions.check(Action([-2, 0, 1])) == "int 0 is -2, not in (-1 1)"
 
 
 @pytest.mark.parametrize("version", ["RL-Glue-3.0.1", "Mario-v2"])

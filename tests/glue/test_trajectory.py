@@ -102,15 +102,6 @@ def test_written_episodes_are_read_back(tmp_path: Path) -> None:
     assert (fourth.start, fourth.ending) == (observation(7), Ending.VOID)
 
 
-def test_start_within_an_episode_cuts_it_off(tmp_path: Path) -> None:
-    with TrajectoryWriter(tmp_path / "a") as recording:
-        recording.run(RUN)
-        recording.start(observation(1))
-        recording.start(observation(2))
-        recording.step(Action(), 0.0, observation(3), True)
-    assert [episode.ending for episode in read(tmp_path / "a")] == [Ending.CUTOFF, Ending.TERMINAL]
-
-
 bodies = st.tuples(
     st.lists(st.integers(-(2**31), 2**31 - 1), max_size=5),
     st.lists(st.floats(), max_size=5),
@@ -256,16 +247,6 @@ for episode in range(4):
         (Observation([i]), 1000, Ending.TERMINAL) for i in range(3)
     ]
     assert reader.torn
-
-
-def test_finished_episode_is_in_the_file_before_the_next(tmp_path: Path) -> None:
-    path = tmp_path / "a.traj"
-    with TrajectoryWriter(path) as recording:
-        recording.run(RUN)
-        for episode in range(3):
-            assert len(read(path)) == episode
-            recording.start(observation(episode))
-            recording.step(Action(), 0.0, observation(1), True)
 
 
 def test_joined_files_are_one_recording(tmp_path: Path) -> None:

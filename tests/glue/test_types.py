@@ -151,13 +151,6 @@ def test_arrays_have_the_types_of_the_wire() -> None:
 # Equality
 
 
-@given(values, values)
-def test_values_are_equal_when_their_bits_are(one: AbstractType, other: AbstractType) -> None:
-    same = type(one) is type(other) and one.body == other.body
-    assert (one == other) == same
-    assert (one != other) == (not same)
-
-
 def test_equality_is_by_bits() -> None:
     assert Observation(doubles=[0.0]) != Observation(doubles=[-0.0])
     assert Observation(doubles=[math.nan]) == Observation(doubles=[math.nan])

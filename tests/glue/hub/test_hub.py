@@ -9,19 +9,16 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.client.players import serve_agent, serve_environment
-from glue.console import say_why_slow
 from glue.doors import network
-from glue.errors import ConfigError, GlueError, HubClosed, Refused
-from glue.hub.config import Bind, HubConfig, LegacyPort
+from glue.errors import ConfigError, GlueError, HubClosed
+from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.listener import open_address
 from glue.hub.io.server import Hub
 from glue.hub.peer import Route
 from glue.hub.sessions import Switchboard
 from glue.legacy.gateway import Gateway
 from glue.wire import zmtp
-from glue.wire.messages import Kind, Message, Role
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from glue.wire.messages import Kind, Message
 from tests.scripted.peer import TIMEOUT, ScriptedPeer, framed
 
 
@@ -119,17 +116,6 @@ def test_an_address_opened_once_serves_one_hub_after_another_and_refuses_no_conn
         socket.create_connection(("127.0.0.1", port))
 
 
-def test_an_address_is_open_to_its_roles_alone(tmp_path: Path) -> None:
-    inside = Bind(f"ipc://{tmp_path}/hub", frozenset({Role.EXPERIMENT}))
-    outside = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT, Role.ENVIRONMENT}))
-    with Hub(HubConfig(bind=(inside, outside))).in_background() as listening:
-        first, second = listening.endpoints
-        with pytest.raises(Refused, match="no experiment of session 'default' may join at this address"):
-            connect(second)
-        with connect(first) as glue:
-            assert glue.rl_num_episodes() == 0
-
-
 def test_a_name_stands_for_its_ipv4_address(monkeypatch: pytest.MonkeyPatch) -> None:
     resolve = socket.getaddrinfo
 
@@ -215,29 +201,3 @@ def test_everything_sent_before_a_reset_is_received() -> None:
             peer.send_bytes(b"".join(framed(*goodbye) for goodbye in goodbyes))
             # The peer has not read its welcomes, so its close is a reset.
         assert all(left.acquire(timeout=TIMEOUT) for _ in sessions)
-
-
-class Compiling(ScriptedEnvironment):
-    def env_init(self) -> str:
-        say_why_slow("compiling its rules")
-        return super().env_init()
-
-
-def test_the_hub_and_the_experiment_are_told_that_a_player_compiles(caplog: pytest.LogCaptureFixture) -> None:
-    logged: list[str] = []
-    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), log=logged.append)
-    with listening.in_background():
-        (url,) = listening.endpoints
-        players = (
-            threading.Thread(target=serve_environment, args=(Compiling(), url)),
-            threading.Thread(target=serve_agent, args=(ScriptedAgent(), url)),
-        )
-        for player in players:
-            player.start()
-        with connect(url, wait=TIMEOUT) as glue:
-            glue.rl_init()
-    for player in players:
-        player.join(TIMEOUT)
-    told = "environment Compiling: compiling its rules"
-    assert told in caplog.messages
-    assert any(told in line for line in logged)

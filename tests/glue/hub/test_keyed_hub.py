@@ -24,11 +24,11 @@ from glue.hub.keys import Keys
 from glue.keys.allowed import read_keys
 from glue.keys.certificates import encode, read_pair, read_public
 from glue.wire import zmtp
-from glue.wire.messages import Kind, Role
+from glue.wire.messages import Role
 from tests.keyed import KeyFolder
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.scripted.curve import GREETING, CurveClient, Pair, command
-from tests.scripted.peer import ScriptedPeer, framed, hello_scalars
+from tests.scripted.peer import ScriptedPeer
 from tests.system.proxy import Proxy
 
 TIMEOUT = 20.0
@@ -317,36 +317,6 @@ def scripted(hub: Hub, folder: KeyFolder, stack: ExitStack) -> tuple[ScriptedPee
 def stack() -> Iterator[ExitStack]:
     with ExitStack() as stack:
         yield stack
-
-
-def test_nothing_can_be_slipped_in_between_encrypted_messages(folder: KeyFolder, stack: ExitStack) -> None:
-    log = Log()
-    hub = stack.enter_context(serving(folder, log))
-    peer = stack.enter_context(scripted(hub, folder, stack)[0].greet())
-    peer.join("experiment")
-    log.wait_for("experiment scripted (test) joined")
-    peer.send_bytes(framed(*peer.frames_of(Kind.RL_NUM_STEPS, 1)))  # in plain text
-    log.wait_for("was dropped: it sent something that is not encrypted")
-
-
-def test_a_handshake_that_was_recorded_opens_nothing(folder: KeyFolder, stack: ExitStack) -> None:
-    hub = stack.enter_context(serving(folder))
-    (first, keys), (second, _), (third, _) = [scripted(hub, folder, stack) for _ in range(3)]
-    hello = command(keys.hello())
-    first.send_bytes(hello)
-    keys.welcome(first.read_frame()[1])
-    initiate = command(keys.initiate())
-    first.send_bytes(initiate)
-    keys.ready(first.read_frame()[1])
-    message = first.encoded(*first.frames_of(Kind.HELLO, 1, *hello_scalars("experiment")))
-    first.send_bytes(message)
-    second.send_bytes(hello)
-    assert second.read_frame()[1].startswith(b"\x07WELCOME")
-    for replaying in (second, third):
-        replaying.send_bytes(initiate + message)
-        assert replaying.read_to_end() == b""
-    assert first.receive().kind is Kind.WELCOME
-    assert hub.switchboard.num_steps("a") == 0, "the first keeps its role"
 
 
 def test_a_handshake_that_stops_half_way_is_dropped(folder: KeyFolder, stack: ExitStack) -> None:
