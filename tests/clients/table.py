@@ -12,7 +12,6 @@ from typing import IO, Final
 
 from env_server.toys import SkeletonEnvironment
 from glue import serve_agent, serve_environment
-from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
@@ -21,8 +20,6 @@ from tests.clients.random_agent import RandomAgent
 
 SECONDS: Final = 120.0
 """Timeout in seconds: longer than anything here takes, unless it hangs."""
-
-MAX_STEPS: Final = 300
 
 _EPISODE: Final = re.compile(r"episode (\d+): return (\S+), (\d+) steps")
 
@@ -65,13 +62,6 @@ def serving(player: Agent | Environment, url: str, session: str = "default") -> 
     thread = threading.Thread(target=serve, args=(player, url, session), daemon=True)
     thread.start()
     yield
-
-
-def play(glue: Experiment, seed: int) -> Episode:
-    """Play one episode, which depends on nothing but the seed."""
-    glue.rl_init(seed)
-    glue.rl_episode(MAX_STEPS)
-    return glue.rl_return(), glue.rl_num_steps()
 
 
 def walked(episodes: int, seed: int) -> list[Episode]:
