@@ -397,16 +397,7 @@ def test_both_players_replaced_are_initialised_each_in_turn() -> None:
     engine.replace(Role.AGENT)
     engine.replace(Role.ENVIRONMENT)
     made, reply = drive(engine, Kind.RL_EPISODE, 3)
-    assert made == [
-        "ENV_INIT",
-        "ENV_START",
-        "AGENT_INIT",
-        "AGENT_START",
-        "ENV_STEP",
-        "AGENT_STEP",
-        "ENV_STEP",
-        "AGENT_STEP",
-    ]
+    assert made == ["ENV_INIT", "ENV_START", "AGENT_INIT", "AGENT_START", *("ENV_STEP", "AGENT_STEP") * 2]
     assert reply == Instruction(Kind.RL_EPISODE, (False,), None)
 
 
