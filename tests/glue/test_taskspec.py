@@ -43,20 +43,6 @@ KEYWORDS = (
 )
 ANY_CASE = (*KEYWORDS, "NEGINF", "POSINF", "UNSPEC")
 TIGHT = (*KEYWORDS, "(", ")")  # No white space is needed in front of these.
-TOKENS = [
-    *ANY_CASE,
-    *"()[],:_if01249.",
-    " ",
-    " ",
-    "-1",
-    "(0 1)",
-    "[0,1]",
-    "1_[i]",
-    "INTS (0 1) ",
-    "ACTIONS ",
-    "REWARDS ",
-]
-
 CANONICAL = [
     "VERSION RL-Glue-3.0 PROBLEMTYPE continuing DISCOUNTFACTOR 0.99 OBSERVATIONS DOUBLES (4 UNSPEC UNSPEC) "
     "ACTIONS DOUBLES (-2.5 2.5) REWARDS (NEGINF 0.0) EXTRA pendulum",
@@ -172,18 +158,6 @@ def test_white_space_and_case_do_not_matter(spec: TaskSpec, random: Random) -> N
         )
         before = token
     assert parse_task_spec(text) == spec
-
-
-@some
-@given(st.lists(st.sampled_from(TOKENS), max_size=30).map("".join) | st.text(max_size=60))
-def test_any_text_is_read_or_refused(text: str) -> None:
-    for prefix in ("", "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS ", "2:e:"):
-        try:
-            spec = parse_task_spec(prefix + text)
-        except TaskSpecError as error:
-            assert "\n" not in str(error)  # noqa: PT017
-        else:
-            assert parse_task_spec(str(spec)) == spec
 
 
 @pytest.mark.parametrize("text", CANONICAL)

@@ -427,26 +427,6 @@ def test_damage_is_noticed_by_the_checksum(tmp_path: Path) -> None:
         read(tmp_path / "a")
 
 
-@settings(deadline=None, max_examples=300)
-@given(seed=st.integers(0, 2**32), flips=st.integers(1, 4), packed=st.booleans())
-def test_damaged_file_raises_nothing_else(
-    tmp_path_factory: pytest.TempPathFactory, seed: int, flips: int, packed: bool
-) -> None:
-    path = tmp_path_factory.mktemp("damage") / "a"
-    record(path, episodes=2, steps=2)
-    data = bytearray(path.read_bytes() if packed else gzip.decompress(path.read_bytes()))
-    for flip in range(flips):
-        data[(seed * 31 + flip * 7919) % len(data)] ^= 1 << (seed + flip) % 8
-    path.write_bytes(bytes(data) if packed else gzip.compress(bytes(data)))
-    try:
-        episodes = read(path)
-    except TrajectoryError:
-        return
-    for episode in episodes:
-        assert episode.start is not None
-        _ = episode.start.ints, episode.start.doubles, episode.start.chars, episode.episode_return
-
-
 def test_declared_sizes_and_bombs_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "MAX_EPISODE", 2**20)
     pack = zlib.compressobj(wbits=31)

@@ -17,7 +17,7 @@ from glue.client.experiment import RemoteExperiment, connect
 from glue.client.players import serve_agent, serve_environment
 from glue.client.target import find_target
 from glue.client.transport import open_transport
-from glue.errors import ConfigError, GlueError, HubUnreachable, LocalProtocolError, Refused
+from glue.errors import ConfigError, GlueError, HubUnreachable, Refused
 from glue.hub.config import Bind, HubConfig
 from glue.hub.io.server import Hub
 from glue.hub.keys import Keys
@@ -231,33 +231,6 @@ def test_a_program_finds_its_place_in_the_environment(
         connect(plain.endpoints[0], wait=TIMEOUT) as glue,
     ):
         assert glue.rl_num_episodes() == 0, "the keys of GLUE_HUB are not for another hub"
-
-
-def test_heartbeats_of_libzmq_are_answered_and_large_bodies_pass(folder: KeyFolder) -> None:
-    with serving(folder) as hub, players(hub, folder), zmq.Context() as context:
-        made = context.socket
-
-        def with_heartbeats(kind: int) -> zmq.Socket[bytes]:
-            one = made(kind)
-            one.setsockopt(zmq.HEARTBEAT_IVL, 20)
-            one.setsockopt(zmq.HEARTBEAT_TIMEOUT, 5000)
-            return one
-
-        context.socket = with_heartbeats  # type: ignore[method-assign, assignment]
-        with connect(
-            hub.endpoints[0],
-            "a",
-            key=secret(folder, "experiment"),
-            hub_key=folder.hub_key,
-            context=context,
-        ) as glue:
-            glue.rl_init()
-            large = "é" * 1_000_000
-            assert glue.rl_agent_message(large) == ScriptedAgent().agent_message(large)
-            threading.Event().wait(0.2)  # ten PINGs
-            assert glue.rl_num_episodes() == 0
-            with pytest.raises(LocalProtocolError, match="the hub takes"):
-                glue.rl_agent_message("x" * (17 * 2**20))
 
 
 def test_keys_are_read_again_and_who_lost_theirs_is_out(folder: KeyFolder) -> None:

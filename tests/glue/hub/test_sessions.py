@@ -213,28 +213,15 @@ def test_hello_is_welcomed_with_what_the_hub_is_set_to() -> None:
     assert welcome == Message(Kind.WELCOME, "s", 0, (1, False, 1.0, 5.0, CONFIG.max_body))
 
 
+UNNAMED = "the name of a session must have printable characters, and at least one"
+
+
 @pytest.mark.parametrize(
     ("role", "instance", "session", "complaint"),
     [
-        (
-            "king",
-            instance("a"),
-            "s",
-            "the role must be one of agent, environment, experiment, observer, not 'king'",
-        ),
+        ("king", instance("a"), "s", f"the role must be one of {', '.join(Role)}, not 'king'"),
         ("agent", b"short", "s", "an instance must have 16 bytes, not 5"),
-        (
-            "agent",
-            instance("a"),
-            "",
-            "the name of a session must have printable characters, and at least one",
-        ),
-        (
-            "agent",
-            instance("a"),
-            "a\nb",
-            "the name of a session must have printable characters, and at least one",
-        ),
+        *(("agent", instance("a"), name, UNNAMED) for name in ("", "a\nb")),
     ],
 )
 def test_a_hello_that_makes_no_sense_is_refused(

@@ -49,14 +49,6 @@ def test_trained_agent_offers_what_the_agent_does() -> None:
         assert name_of(trained) == name_of(agent), "messages name what a person started"
 
 
-def test_load_trained_reads_what_was_saved(tmp_path: Path) -> None:
-    taught = sarsa(20)
-    (tmp_path / "mines.agent").write_bytes(taught.agent_save())
-    agent = load_trained(SarsaAgent(), tmp_path / "mines.agent")
-    agent.agent_init(MinesEnvironment().env_init())
-    assert agent.agent_save() == taught.agent_save()
-
-
 def test_agent_that_cannot_load_and_file_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="object cannot load what was learned: it has no agent_load"):
         load_trained(object(), tmp_path / "any.agent")
