@@ -18,7 +18,8 @@ from env_server.toys import SkeletonEnvironment
 from glue import connect
 from glue.wire.messages import THREE_ROLES, Role
 from tests.clients.languages import CLIENTS, CPP, JAVASCRIPT, LANGUAGES, RUST, Language, run
-from tests.clients.table import SECONDS, hub, program, serving
+from tests.clients.table import SECONDS, program
+from tests.hubs import hub_with
 from tests.pages import DOCS, blocks
 
 CONFORM: Final = (sys.executable, "-c", "from glue_rl.commands import conform; conform()")
@@ -128,7 +129,7 @@ def test_first_agent_in_python_walks(tmp_path: Path) -> None:
 
 def walks(start: Sequence[str]) -> None:
     """Check that an agent walks to the end, reports a refusal, and passes the kit, SHOULDs included."""
-    with hub() as url, program(start, url), connect(url) as glue:
+    with hub_with() as url, program(start, url), connect(url) as glue:
         glue.rl_agent_message("are you there?")
         second = subprocess.run(
             start, env={**os.environ, "GLUE_HUB": url}, capture_output=True, text=True, timeout=SECONDS
@@ -139,8 +140,7 @@ def walks(start: Sequence[str]) -> None:
     assert "should" not in {line.partition(" ")[0] for line in kit.stdout.splitlines()}, kit.stdout
     assert "plays, as far as can be told without the mirror" in kit.stdout.splitlines()[-1]
     with (
-        hub() as url,
-        serving(SkeletonEnvironment(), url),
+        hub_with(SkeletonEnvironment()) as url,
         program(start, url),
         connect(url) as glue,
     ):
@@ -180,7 +180,7 @@ def test_fresh_project_installs_the_tarball_and_checks_its_types(tmp_path: Path)
     strict = ["--strict", "--target", "es2022", "--module", "nodenext", "--types", "node"]
     run(["npx", "tsc", *strict, "agent.ts"], tmp_path)
     run(["npx", "tsc", "--project", str(copy_of_sources(tmp_path))], tmp_path)
-    with hub() as url, program(["node", str(tmp_path / "agent.js")], url) as process:
+    with hub_with() as url, program(["node", str(tmp_path / "agent.js")], url) as process:
         run([*JAVASCRIPT.programs["mirror"][:1], "-e", JOIN], tmp_path, GLUE_HUB=url)
         assert process.poll() is None
 
