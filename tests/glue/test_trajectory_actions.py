@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import struct
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -116,17 +115,6 @@ def test_a_step_takes_less_than_four_bytes_even_in_short_episodes_at_random(tmp_
         episodes.append((steps, Ending.TERMINAL))
     size = written(tmp_path / "a", episodes).stat().st_size
     assert size < 4 * sum(len(steps) for steps, _ in episodes)
-
-
-def test_a_recording_that_was_cut_anywhere_is_torn_or_refused(tmp_path: Path) -> None:
-    path = written(tmp_path / "a", [([(Action([1]), 1.0)], Ending.TERMINAL)] * 3)
-    whole = path.read_bytes()
-    for size in range(len(whole)):
-        path.write_bytes(whole[:size])
-        reader = TrajectoryReader(path)
-        with suppress(TrajectoryError):
-            assert len(list(reader)) <= 3
-            assert reader.torn
 
 
 def test_a_writer_used_out_of_order_or_over_a_limit_refuses(
