@@ -1,7 +1,8 @@
-"""The hub as part of a program: the addresses that it can listen on, and its end."""
+"""The hub as part of a program: the addresses that it can listen on, its end, and what it forgets."""
 
 from __future__ import annotations
 
+import gc
 import socket
 import threading
 from pathlib import Path
@@ -17,8 +18,10 @@ from glue.hub.io.server import Hub
 from glue.hub.peer import Route
 from glue.hub.sessions import Switchboard
 from glue.legacy.gateway import Gateway
+from glue.types import Action, Observation
 from glue.wire import zmtp
 from glue.wire.messages import Kind, Message
+from glue.wire.steps import StepFormat
 from tests.scripted.peer import TIMEOUT, ScriptedPeer, framed
 
 
@@ -201,3 +204,30 @@ def test_everything_sent_before_a_reset_is_received() -> None:
             peer.send_bytes(b"".join(framed(*goodbye) for goodbye in goodbyes))
             # The peer has not read its welcomes, so its close is a reset.
         assert all(left.acquire(timeout=TIMEOUT) for _ in sessions)
+
+
+def formats(session: str) -> int:
+    return sum(type(each) is StepFormat and each.session == session for each in gc.get_objects())
+
+
+def test_formats_of_steps_end_with_the_session_and_not_with_the_connection() -> None:
+    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=60.0, timeout=60.0)
+    with (
+        Hub(config).in_background() as hub,
+        ScriptedPeer(hub.endpoints[0], session="forgotten").greet() as environment,
+        ScriptedPeer(hub.endpoints[0], session="forgotten").greet() as experiment,
+    ):
+        environment.join("environment", session="kept")
+        environment.join("environment")
+        experiment.join("experiment")
+        experiment.say(Kind.RL_ENV_STEP, 1, body=Action([1]).body)
+        while (call := environment.receive()).kind is not Kind.ENV_STEP:
+            environment.say(call.kind, call.seq)
+        environment.say(Kind.ENV_STEP, call.seq, 1.0, False, body=Observation([2]).body)
+        while experiment.receive().kind is not Kind.RL_ENV_STEP:
+            pass
+        assert formats("forgotten") > 0
+        environment.say(Kind.GOODBYE, 0, "enough")
+        environment.say(Kind.HEARTBEAT, 7, session="kept")
+        environment.receive_frames()  # the hub has read the GOODBYE
+        assert formats("forgotten") == 0

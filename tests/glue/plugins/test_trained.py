@@ -92,17 +92,6 @@ def test_file_of_another_agent_is_one_line_at_both_ends(tmp_path: Path) -> None:
     assert "104 bytes are not a save of agent sarsa" in error
 
 
-@pytest.mark.parametrize(
-    ("file", "advice"), [("nothing.agent", "cannot read nothing.agent"), (".", "is a directory")]
-)
-def test_file_that_cannot_be_read_is_one_line(tmp_path: Path, file: str, advice: str) -> None:
-    shown = run("glue-agent", "sarsa", "--load", file, cwd=tmp_path)
-    assert shown.returncode == 2
-    assert advice in shown.stderr
-    assert sum(line.startswith("Error:") for line in shown.stderr.splitlines()) == 1
-    assert "Traceback" not in shown.stderr
-
-
 GREEDY = ("--no-learning", "--epsilon", "0")
 
 
