@@ -79,12 +79,6 @@ def counters(glue: LocalExperiment) -> tuple[int, int, float]:
 # RL_init
 
 
-def test_init_asks_the_environment_then_the_agent_with_its_task_spec() -> None:
-    glue, calls = play()
-    assert glue.rl_init() == "a task"
-    assert calls == ["env_init", "agent_init a task"]
-
-
 def test_init_with_an_empty_spec_after_another_yields_the_empty_one() -> None:
     # The original would answer with the old one: a quirk that is not worth imitating.
     environment = ScriptedEnvironment()
@@ -116,15 +110,6 @@ def test_init_twice_runs_both_inits_again_and_keeps_the_last_action() -> None:
 
 
 # RL_start
-
-
-def test_start_shows_the_agent_the_first_observation_and_returns_both() -> None:
-    glue, calls = play()
-    glue.rl_init()
-    taken(calls)
-    assert glue.rl_start() == (Observation(ints=[0]), Action(ints=[100]))
-    assert calls == ["env_start", "agent_start [0]"]
-    assert counters(glue) == (1, 0, 0.0)
 
 
 def test_start_sets_the_counters_before_it_asks_the_environment() -> None:
@@ -206,11 +191,6 @@ def test_half_steps_do_not_touch_the_last_action() -> None:
 
 
 # Out of order
-
-
-def test_counters_before_any_init_are_zero() -> None:
-    glue, _ = play()
-    assert counters(glue) == (0, 0, 0.0)
 
 
 def test_start_without_init_works() -> None:

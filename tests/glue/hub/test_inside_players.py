@@ -30,10 +30,6 @@ TIMEOUT = 20.0
 
 ARRANGEMENTS = [frozenset[Role](), {Role.ENVIRONMENT}, {Role.AGENT}, {Role.ENVIRONMENT, Role.AGENT}]
 
-every_arrangement = pytest.mark.parametrize(
-    "inside", ARRANGEMENTS, ids=["none", "environment", "agent", "both"]
-)
-
 
 def serve(role: Role, player: Any, url: str) -> threading.Thread:
     """Serve a player over a socket until the hub ends, or the player leaves."""
@@ -74,7 +70,7 @@ def play(glue: Experiment, seed: int, max_steps: int) -> list[object]:
     return shown
 
 
-@every_arrangement
+@pytest.mark.parametrize("inside", ARRANGEMENTS, ids=["none", "environment", "agent", "both"])
 @pytest.mark.parametrize(("environment", "agent"), [("mines", "sarsa"), ("mines", "random")])
 @pytest.mark.parametrize(("seed", "max_steps"), [(1, 0), (2, 7)])
 def test_results_are_those_of_one_process(
