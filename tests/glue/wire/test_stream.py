@@ -147,11 +147,8 @@ def test_a_step_behind_pieces_of_another_message_needs_no_codec(without_codec: C
     assert receiver.empty
 
 
-def test_the_middle_of_a_message_is_never_taken_for_a_step() -> None:
-    step = plainly(Message(Kind.ENV_STEP, "s", 2, (1.0, False), BODY), False)
-    for begun in (b"\x01\x01x", b"\x01\0"):
-        _, hub = acquainted(Kind.ENV_STEP, False, "s")
-        assert read(hub, begun) == []
-        (event,) = read(hub, step)
-        assert isinstance(event, tuple)
-        assert event[0] is Malformed
+def test_a_step_with_a_short_number_leaves_the_remembered_length_alone() -> None:
+    sender, receiver = acquainted(Kind.AGENT_STEP, False, "s")
+    for seq, body in ((200, BODY), (3, LONG), (201, BODY)):
+        message = Message(Kind.AGENT_STEP, "s", seq, (), body)
+        assert read(receiver, b"".join(sender.encode(message))) == [message]
