@@ -145,10 +145,3 @@ def test_a_step_behind_pieces_of_another_message_needs_no_codec(without_codec: C
     assert receiver.buffered == len(plainly(step, False))
     assert receiver.next_event() == step
     assert receiver.empty
-
-
-def test_a_step_with_a_short_number_leaves_the_remembered_length_alone() -> None:
-    sender, receiver = acquainted(Kind.AGENT_STEP, False, "s")
-    for seq, body in ((200, BODY), (3, LONG), (201, BODY)):
-        message = Message(Kind.AGENT_STEP, "s", seq, (), body)
-        assert read(receiver, b"".join(sender.encode(message))) == [message]
