@@ -58,20 +58,6 @@ def test_it_plays_where_there_is_no_epoll(monkeypatch: pytest.MonkeyPatch) -> No
             assert play(glue) == play(expected)
 
 
-def test_two_experiments_of_one_process_take_the_loop_in_turn(hub: Hub) -> None:
-    def ask(session: str) -> None:
-        with inside(hub, session) as glue:
-            for _ in range(300):
-                assert glue.rl_num_steps() == 0
-
-    threads = [threading.Thread(target=ask, args=(name,)) for name in ("one", "two", "three")]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(TIMEOUT)
-        assert not thread.is_alive()
-
-
 class LateLock:
     """A lock that delays the thread `late` until another has taken it, as if the machine had stopped it."""
 
