@@ -53,7 +53,7 @@ SERVER.set_forkserver_preload(
         "scipy.stats",
         "tests.forked",
         "tests.glue.conform.forked",
-        "tests.glue.conform.wrong_experiment",
+        "tests.glue.conform.right",
         "tests.scripted.process",
     ]
 )

@@ -30,10 +30,13 @@ PACKAGES: Final = ("glue", "experiment_runner")
 
 ALSO: Final = {
     "glue/cli": ("tests/system/test_commands.py", "tests/glue/hub"),
-    "glue/client": ("tests/glue/hub", "tests/simulation", "tests/system/test_conformance.py"),
+    "glue/client": (
+        *("tests/glue/hub", "tests/simulation", "tests/system/test_conformance.py"),
+        "tests/glue/conform/test_own_clients.py",
+    ),
     "glue/conform": ("tests/glue/testing",),
-    "glue/engine": ("tests/system/test_conformance.py", "tests/glue/hub"),
-    "glue/hub": ("tests/simulation", "tests/system/test_faults.py"),
+    "glue/engine": ("tests/system/test_conformance.py", "tests/glue/hub", "tests/glue/testing"),
+    "glue/hub": ("tests/simulation", "tests/system/test_faults.py", "tests/glue/testing"),
     "glue/legacy": ("tests/system/legacy",),
     "glue/wire": ("tests/glue/hub", "tests/glue/client", "tests/simulation"),
     "experiment_runner/meeting": ("tests/experiment_runner/executors",),
