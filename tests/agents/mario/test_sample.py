@@ -13,8 +13,7 @@ import pytest
 from agents.mario.actions import ACTIONS
 from agents.mario.sample import SampleAgent
 from env_server.mario.environment import InfiniteMario
-from glue.errors import RemoteProtocolError
-from glue.types import Action, Observation
+from glue.types import Action
 
 if TYPE_CHECKING:
     from tests.agents.conftest import Draw
@@ -106,10 +105,3 @@ def test_mario_outside_the_screen_is_no_trouble(draw: Draw, task_spec: str, y: f
     agent = SampleAgent(seed=1)
     agent.agent_init(task_spec)
     assert agent.agent_start(draw("7" * 21, at=(3.0, y))) in ACTIONS
-
-
-def test_another_tasks_observation_is_refused(task_spec: str) -> None:
-    agent = SampleAgent()
-    agent.agent_init(task_spec)
-    with pytest.raises(RemoteProtocolError, match="is the environment Mario"):
-        agent.agent_start(Observation([1, 2, 3], [0.5], b"?"))
