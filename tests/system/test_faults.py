@@ -33,7 +33,6 @@ from tests.proof import size
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import address, main, running
 from tests.system.proxy import Proxy
-from tests.system.wires.router_hub import router_hub
 
 pytestmark = pytest.mark.proof
 
@@ -290,21 +289,6 @@ def play_over_cuts(cuts: int, seed: int) -> None:
             assert proxy.finished.is_set(), "all cuts were made"
 
 
-@pytest.mark.stage("proof")
-@pytest.mark.parametrize("cuts", [0, 20])
-def test_a_run_at_a_hub_of_libzmq_has_the_same_returns(cuts: int) -> None:
-    episodes = 15
-    expected = chain(local(ChainAgent(), ChainEnvironment()), episodes)
-    with ExitStack() as stack:
-        url = stack.enter_context(router_hub())
-        proxy = stack.enter_context(Proxy(int(url.rpartition(":")[2]), cuts, seed=3).in_background())
-        stack.enter_context(Processes(proxy.url, "agent", "tests.players:ChainAgent"))
-        stack.enter_context(Processes(proxy.url, "environment", "tests.players:ChainEnvironment"))
-        with connect(proxy.url) as glue:
-            assert chain(glue, episodes) == expected
-            assert proxy.finished.is_set() == bool(cuts)
-
-
 HUB = "from glue.cli.hub import main; main()"
 
 
@@ -376,36 +360,3 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
         with pytest.raises(PeerLost, match=r"the agent skeleton left: interrupted"):
             play_on(glue)
         assert process.wait(TIMEOUT) == code
-
-
-def test_a_slow_session_delays_no_other() -> None:
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0, greeting=60.0))
-    release = threading.Event()
-    waits = threading.Event()
-
-    def wait(call: str) -> None:
-        if call == "env_start":
-            waits.set()
-            assert release.wait(TIMEOUT)
-
-    with hub.in_background(), ExitStack() as ending:
-        (url,) = hub.endpoints
-        for session, environment in (
-            ("slow", ScriptedEnvironment(before=wait)),
-            ("fast", ScriptedEnvironment()),
-        ):
-            ending.enter_context(serving(url, environment, session))
-            ending.enter_context(serving(url, ScriptedAgent(), session))
-        ending.callback(hub.stop, "over")
-        slow = ending.enter_context(connect(url, session="slow"))
-        fast = ending.enter_context(connect(url, session="fast"))
-        results: list[bool] = []
-        thread = threading.Thread(target=lambda: results.append(slow.rl_episode()))
-        thread.start()
-        assert waits.wait(TIMEOUT)
-        for _ in range(50):
-            assert fast.rl_episode()
-        assert not results
-        release.set()
-        thread.join(TIMEOUT)
-        assert results == [True]

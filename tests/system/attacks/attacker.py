@@ -27,7 +27,8 @@ from glue.types import Action, Observation
 from glue.wire.codec import TO_HUB, encode
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Message
-from tests.scripted.curve import CurveClient, Pair
+from tests.scripted import curve
+from tests.scripted.curve import CurveClient, Pair, command
 from tests.scripted.peer import ABORT, GREETING, ScriptedPeer, hello_scalars
 
 HONEST: Final = ("one", "two", "three", "four")
@@ -135,6 +136,26 @@ class Attacker:
                         *_frames(kind, session, self._random.randrange(2**20), *scalars, body=_BODIES[1])
                     )
 
+    def handshake(self) -> None:
+        """Shake hands with a key, and with a byte changed somewhere in what is sent."""
+        with self._connect() as peer:
+            if peer.keys is None:
+                return
+            peer.send_bytes(curve.GREETING)
+            peer.read(len(curve.GREETING))
+            peer.send_bytes(self._changed(command(peer.keys.hello())))
+            welcome = peer.read_frame()[1]
+            if welcome.startswith(b"\x07WELCOME"):  # not to a HELLO that was changed
+                peer.keys.welcome(welcome)
+                peer.send_bytes(self._changed(command(peer.keys.initiate())))
+            peer.read_to_end()
+
+    def _changed(self, data: bytes) -> bytes:
+        """Return `data`, or the same with one byte changed."""
+        changed = bytearray(data)
+        changed[self._random.randrange(len(data))] ^= self._random.choice((0, 0, 1, 64, 255))
+        return bytes(changed)
+
     def half(self) -> None:
         """Leave in the middle of a large frame, as the agent of a session of its own."""
         with self._greet() as peer:
@@ -179,6 +200,7 @@ _MOVES: Final[tuple[Callable[[Attacker], None], ...]] = (
     Attacker.slow,
     Attacker.malformed,
     Attacker.pose,
+    Attacker.handshake,
     Attacker.half,
     Attacker.oversized,
     Attacker.endless,

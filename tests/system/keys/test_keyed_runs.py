@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,9 @@ from glue.keys.allowed import read_keys
 from tests import forked
 from tests.keyed import KeyFolder
 from tests.scripted.peer import TIMEOUT
-from tests.system.keys.handshakes import keyed_hub, run
 from tests.system.proxy import Proxy
 from tests.system.runs import COMMAND, start, wait_until
+from tests.terminal import Terminal
 
 EPISODES = 30
 NOBODY = 65534
@@ -80,10 +80,12 @@ def test_a_run_with_keys_is_the_run_without_even_if_the_network_breaks(folder: K
     assert len(set(plain[0])) > EPISODES // 2
 
 
-@pytest.mark.stage("keys")
-def test_mutated_handshakes_open_nothing_and_disturb_nobody(tmp_path: Path) -> None:
-    # A stage of .ci/run tries 10^5 of them.
-    assert "nothing in" in run(200, tmp_path)
+@contextmanager
+def keyed_hub(keys: KeyFolder) -> Iterator[tuple[Terminal, str]]:
+    """Run a hub with keys; yield it and its address."""
+    options = ("--bind", "tcp://127.0.0.1:*", "--keys", str(keys.path))
+    with closing(Terminal("glue-hub", *options, cwd=keys.path)) as hub:
+        yield hub, hub.wait_for(r"listening on (\S+)")[1]
 
 
 def glue_keys(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -103,7 +105,7 @@ def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:
     (keys.path / "carol.pub").write_text(made.stdout)
     carol = '[carol]\nrole = ["agent", "environment", "experiment"]\nsession = "a"\n'
     keys.allow(carol)
-    with keyed_hub(keys, tmp_path / "log") as (hub, url):
+    with keyed_hub(keys) as (hub, url):
         environment = {
             **os.environ,
             "GLUE_HUB": url,
@@ -119,7 +121,7 @@ def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:
         agent = [sys.executable, "-c", "from agents.cli.agent import main; main()", "random"]
         keys.allow('[erin]\nrole = "agent"\n')
         hub.send_signal(signal.SIGHUP)
-        wait_until(lambda: "read again: 1 key may join" in (tmp_path / "log").read_text(), "the new list")
+        hub.wait_for("read again: 1 key may join")
         refused = subprocess.run(agent, env=environment, **run_here)  # type: ignore[call-overload]
         assert refused.returncode == 1
         assert f"Error: the hub at {url} does not know your key, {made.stdout.strip()} in" in refused.stderr
@@ -140,15 +142,15 @@ def test_a_hub_takes_no_list_that_others_can_write(tmp_path: Path) -> None:
     assert refused.returncode == 2, refused.stderr
     assert f"chmod go-w {listed}" in refused.stderr
     listed.chmod(0o644)
-    with keyed_hub(keys, tmp_path / "log") as (hub, _):
+    with keyed_hub(keys) as (hub, _):
         listed.rename(tmp_path / "list")
         listed.symlink_to(tmp_path / "list")
         (tmp_path / "list").chmod(0o664)
         hub.send_signal(signal.SIGHUP)
-        wait_until(lambda: "the keys stay as they were" in (tmp_path / "log").read_text(), "the refusal")
+        hub.wait_for("the keys stay as they were")
         (tmp_path / "list").chmod(0o644)
         hub.send_signal(signal.SIGHUP)
-        wait_until(lambda: "read again: 1 key may join" in (tmp_path / "log").read_text(), "the new list")
+        hub.wait_for("read again: 1 key may join")
 
 
 def spoiled(keys: KeyFolder) -> Iterator[str]:
@@ -188,28 +190,20 @@ def test_keys_that_cannot_be_read_cost_one_line_and_change_nothing(tmp_path: Pat
     keys = KeyFolder(folder)
     carol = keys.entrant("carol")
     keys.allow('[carol]\nrole = "experiment"\n')
-    log = tmp_path / "log"
-    with keyed_hub(keys, log) as (hub, url), connect(url, "s", key=carol, hub_key=keys.hub_key) as glue:
+    with keyed_hub(keys) as (hub, url), connect(url, "s", key=carol, hub_key=keys.hub_key) as glue:
         glue.rl_num_episodes()
         for number, name in enumerate(spoiled(keys), 1):
-            refused = forked.run(
-                "glue-hub",
-                "--bind",
-                "tcp://127.0.0.1:*",
-                "--keys",
-                str(keys.path),
-                cwd=tmp_path,
-                timeout=TIMEOUT,
-            )
+            options = ("--bind", "tcp://127.0.0.1:*", "--keys", str(keys.path))
+            refused = forked.run("glue-hub", *options, cwd=tmp_path, timeout=TIMEOUT)
             assert (refused.returncode, "Traceback" in refused.stderr) == (2, False), (name, refused.stderr)
             hub.send_signal(signal.SIGHUP)
-            wait_until(lambda: log.read_text().count("the keys stay as they were") == number, name)  # noqa: B023
+            wait_until(lambda: "\n".join(hub.lines).count("stay as they were") == number, name)  # noqa: B023
             assert glue.rl_num_episodes() == 0
-        before = len(log.read_text().splitlines())
+        before = len(hub.lines)
         hub.send_signal(signal.SIGHUP)
-        wait_until(lambda: "read again: 1 key may join" in log.read_text(), "the list as it was")
-        assert len(log.read_text().splitlines()) == before + 1
-        assert "Traceback" not in log.read_text()
+        hub.wait_for("read again: 1 key may join")
+        assert len(hub.lines) == before + 1
+        assert "Traceback" not in "\n".join(hub.lines)
 
 
 @contextmanager

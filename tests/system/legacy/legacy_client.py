@@ -426,11 +426,6 @@ class Experiment:
         """RL_agent_end."""
         assert self._ask(Id.RL_AGENT_END, struct.pack(">d", reward)) == b""
 
-    def terminate(self) -> None:
-        """Send id 35, which no original codec sends but the server understands; the server then closes."""
-        assert self._ask(Id.RL_TERM) == b""
-        assert self.connection.receive_until_closed() == b""
-
     def close(self) -> None:
         """Leave without a goodbye, as the original experiments do."""
         self.connection.close()

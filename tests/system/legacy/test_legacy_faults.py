@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import socket
 import struct
 import threading
 from collections import Counter
@@ -42,12 +41,6 @@ from tests.system.legacy.legacy_rig import Log, Rig, gateway
 ROLES = (Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION)
 EMPTY = pack_numbers(Numbers())
 TERMINATE = struct.pack(">iI", Id.RL_TERM, 0)
-
-
-@pytest.fixture
-def rig() -> Iterator[Rig]:
-    with gateway() as rig:
-        yield rig
 
 
 def join(rig: Rig, role: Id, session: str = "default") -> Connection:
@@ -260,14 +253,6 @@ def silent_connections(rig: Rig) -> list[Connection]:
     silent, halting = rig.connect(), rig.connect()
     halting.send_raw(b"\0\0\0\2\0\0")
     return [silent, halting]
-
-
-def test_a_silent_connection_delays_no_other(rig: Rig) -> None:
-    silent = silent_connections(rig)
-    run_test_1(rig)
-    for connection in silent:
-        assert connection.nothing_received()
-        connection.close()
 
 
 def test_a_silent_connection_is_dropped_after_the_timeout() -> None:
@@ -628,14 +613,6 @@ def test_an_error_in_a_delivery_costs_the_receiver_and_not_the_sender(
     play(pair)
 
 
-def test_an_error_in_accepting_costs_the_connection_alone(pair: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr("glue.legacy.gateway._Handshake", raise_fault)
-        check_ended(pair.connect(session=FAULTY))
-    pair.log.wait_for("please report this")
-    play(pair)
-
-
 def test_bytes_of_original_programs_count_and_the_largest_holder_is_dropped(pair: Rig) -> None:
     announced = 12 + 4 * 500_000
     program = pair.connect(session=FAULTY)
@@ -645,23 +622,3 @@ def test_bytes_of_original_programs_count_and_the_largest_holder_is_dropped(pair
     pair.log.wait_for("was dropped: it used 1 MiB")
     program.reset()
     play(pair)
-
-
-def test_nothing_waits_for_the_log_of_the_gateway() -> None:
-    stuck, go_on = threading.Event(), threading.Event()
-
-    def write(line: str) -> None:
-        stuck.set()
-        assert go_on.wait(TIMEOUT)
-
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
-    (port,) = Gateway(hub, [LegacyPort(0)], write).ports
-    with hub.in_background():
-        try:
-            for _ in range(3):
-                with socket.create_connection(("127.0.0.1", port.port), TIMEOUT) as program:
-                    program.sendall(struct.pack(">iI", 99, 0))
-                    assert program.recv(1) == b""
-            assert stuck.wait(TIMEOUT)
-        finally:
-            go_on.set()
