@@ -138,6 +138,10 @@ def test_arrays_of_the_wrong_things_are_refused(versions: Any, abilities: Any) -
     assert "an array" in rejected(header(64, "s", 0, versions, "agent", b"i" * 16, "n", "c", abilities))
 
 
+FOUR_BILLION = (b"\xdd", b"\xdf", b"\xdb", b"\xc6", b"\xc9")
+"""What begins an array, a map, a text, bytes and an extension of that many."""
+
+
 @pytest.mark.parametrize("kind", [0, 3, 9, 63, 79, 255, -1, 2**63, 2**64 - 1])
 def test_an_unknown_kind_names_its_session_and_number(kind: int) -> None:
     with pytest.raises(UnknownKind) as caught:
@@ -157,6 +161,8 @@ def test_an_unknown_kind_names_its_session_and_number(kind: int) -> None:
         (header(13, "s"), "a header is an array"),
         (b"\x80", "a header is an array"),
         (b"", "not msgpack within the limits"),
+        *((kind + b"\xff\xff\xff\xff\x05", "not msgpack within the limits") for kind in FOUR_BILLION),
+        (b"\x91" * MAX_HEADER, "not msgpack within the limits"),
         (b"\x9f" * MAX_HEADER, "not msgpack within the limits"),
         (b"\x81\x00" * (MAX_HEADER // 2), "not msgpack within the limits"),
         (b"\x94\x43\xa1s\x00\xd6\xff\x00\x00\x00\x00", "not msgpack within the limits"),
