@@ -71,32 +71,26 @@ def test_positions_are_rounded_towards_zero(draw: Draw, watch: type[Watcher]) ->
 
 
 @pytest.mark.parametrize(
-    ("threats", "dx", "dy", "related"),
-    [
-        (THREATS_2010, -3.0, 0.0, True),
-        (THREATS_2010, -3.5, 0.0, False),
-        (THREATS_2010, 3.5, 0.0, True),
-        (THREATS_2010, 4.0, 0.0, False),
-        (THREATS_2010, 0.0, -6.0, True),
-        (THREATS_2010, 0.0, -6.5, False),
-        (THREATS_2010, 0.0, 4.5, True),
-        (THREATS_2010, 0.0, 5.0, False),
-        (THREATS_2012, -4.0, 0.0, True),
-        (THREATS_2012, -4.5, 0.0, False),
-        (THREATS_2012, 5.5, 0.0, True),
-        (THREATS_2012, 6.0, 0.0, False),
-        (THREATS_2012, 0.0, -2.0, True),
-        (THREATS_2012, 0.0, -2.5, False),
-        (THREATS_2012, 0.0, 4.5, True),
-        (THREATS_2012, 0.0, 5.0, False),
-    ],
+    ("threats", "left", "right", "below", "above"),
+    [(THREATS_2010, -3.0, 3.5, -6.0, 4.5), (THREATS_2012, -4.0, 5.5, -2.0, 4.5)],
 )
 def test_a_monster_is_a_threat_within_a_window(
-    draw: Draw, watch: type[Watcher], threats: tuple[int, int, int, int], dx: float, dy: float, related: bool
+    draw: Draw,
+    watch: type[Watcher],
+    threats: tuple[int, int, int, int],
+    left: float,
+    right: float,
+    below: float,
+    above: float,
 ) -> None:
-    screen = draw(at=(8.0, 8.0), monsters=[(GOOMBA, 8.0 + dx, 8.0 + dy, 0.0, 0.0)])
-    (seen,) = monsters(watch(threats=threats)(screen))
-    assert bool(seen.related) is related
+    def is_threat(dx: float, dy: float) -> bool:
+        screen = draw(at=(8.0, 8.0), monsters=[(GOOMBA, 8.0 + dx, 8.0 + dy, 0.0, 0.0)])
+        (seen,) = monsters(watch(threats=threats)(screen))
+        return bool(seen.related)
+
+    at_the_edge = [(left, 0.0), (right, 0.0), (0.0, below), (0.0, above)]
+    beyond = [(left - 0.5, 0.0), (right + 0.5, 0.0), (0.0, below - 0.5), (0.0, above + 0.5)]
+    assert [is_threat(*place) for place in (*at_the_edge, *beyond)] == [True] * 4 + [False] * 4
 
 
 def test_items_are_monsters_and_fireballs_are_no_threat(draw: Draw, watch: type[Watcher]) -> None:

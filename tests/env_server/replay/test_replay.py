@@ -43,12 +43,12 @@ RIGHT = Action([1, 0, 1])
 
 
 def golden_lines(name: str, episodes: int = 3) -> list[dict[str, Any]]:
-    """Return the lines of the first episodes of a recording of the original."""
+    """Return the lines of the first episodes, or levels, of a recording of the original."""
     lines = []
     with gzip.open(GOLDEN / name, "rt", encoding="ascii") as file:
         for text in file:
             lines.append(json.loads(text))
-            episodes -= lines[-1]["kind"] == "end"
+            episodes -= lines[-1]["kind"] in ("end", "level")
             if not episodes:
                 break
     return lines
@@ -196,20 +196,7 @@ def test_missing_sprite_is_told_by_the_counts(tmp_path: Path) -> None:
         replay(write_golden(tmp_path / "a.jsonl.gz", lines))
 
 
-GOOD_RUN = {
-    "kind": "run",
-    "id": "a",
-    "level_seed": 121,
-    "level_type": 0,
-    "level_difficulty": 0,
-    "instance": None,
-    "params": {},
-    "obs": "hash",
-    "render": "tick",
-    "alpha": 1.0,
-    "start_ticks": 5,
-    "velocity": "source",
-}
+GOOD_RUN = golden_lines("variants.jsonl.gz")[0] | {"id": "a", "obs": "hash"}
 START = {"kind": "start", "episode": 0, "keys": [0, 0, 0, 0], "h": "0" * 16}
 STEP = {"kind": "step", "a": [1, 0, 0], "r": 0.5, "end": 0, "h": "0" * 16}
 END = {"kind": "end"}
@@ -370,19 +357,7 @@ def test_hashes_alone_cannot_be_shown(tmp_path: Path) -> None:
         list(recorded_moments(open_recording(path)))
 
 
-LEVEL = {
-    "kind": "level",
-    "level_seed": 121,
-    "level_type": 0,
-    "level_difficulty": 0,
-    "level_width": 320,
-    "width": 370,
-    "height": 15,
-    "xExit": 317,
-    "yExit": 11,
-    "rows": ["00" * 370] * 15,
-    "sprites": [[15, 11, 2, 0]],
-}
+LEVEL = golden_lines("levels.jsonl.gz", 1)[0]
 
 
 def test_levels_of_the_original_are_compared() -> None:
@@ -397,17 +372,16 @@ def test_levels_of_the_original_are_compared() -> None:
         ({"level_seed": 122}, "goal: "),
         ({"width": 371}, "width: expected 371, got 370"),
         ({"yExit": 12}, r"goal: expected \(317, 12\), got \(317, 11\)"),
-        ({"rows": LEVEL["rows"]}, "tile in column 111, row 3: expected '00', got '10'"),
+        ({"rows": ["00" * 370] * 15}, "tile in column 111, row 3: expected '00', got '10'"),
         ({"rows": []}, "tile in column 0, row 0: expected None, got '00'"),
-        ({"sprites": LEVEL["sprites"]}, "spawn point 1: expected None, got Spawn"),
+        ({"sprites": [[15, 11, 2, 0]]}, "spawn point 1: expected None, got Spawn"),
         ({"sprites": []}, r"spawn point 0: expected None, got Spawn\(column=15, row=11, kind=2, winged=F"),
     ],
 )
 def test_level_that_differs_is_told_by_what_differs(
     tmp_path: Path, change: dict[str, Any], message: str
 ) -> None:
-    level = golden_lines("levels.jsonl.gz", 10**9)[0]
-    path = write_golden(tmp_path / "a", [level, level | change])
+    path = write_golden(tmp_path / "a", [LEVEL, LEVEL | change])
     task = "level_seed=12. level_type=0 level_difficulty=0 level_width=320"
     with pytest.raises(Difference, match=f"^{task}: the level's {message}"):
         replay(path)
