@@ -231,49 +231,7 @@ class Documented:
 """
 
 
-def test_three_terminals_run_an_experiment(tmp_path: Path, hub: str, terminals: list[Terminal]) -> None:
-    experiment = Terminal(
-        *("glue-experiment", "--episodes", "20", "--bind", hub, "--out", "run"),
-        cwd=tmp_path,
-    )
-    terminals.append(experiment)
-    asked = {}
-    for role in ("env", "agent"):
-        asked[role] = experiment.wait_for(rf"in another terminal: (glue-{role} .*)").group(1).split()
-        asked[role][1] = {"env": "mines", "agent": "random"}[role]  # quicker than those of the hint
-    environment, agent = (Terminal(*asked[role], cwd=tmp_path) for role in ("env", "agent"))
-    terminals += [environment, agent]
-    assert experiment.end() == 0
-    experiment.wait_for(r"random/mines/0 +20/20 ")
-    shown = run("glue-results", "show", "run", cwd=tmp_path).stdout
-    assert "joined: random/mines/0: agent" in shown
-    assert "remote" not in shown
-    assert (environment.end(), agent.end()) == (0, 0)
-    agent.wait_for("goodbye: the experiment is over")
-
-
-def test_agent_killed_mid_episode_and_started_again_voids_that_episode_alone(
-    tmp_path: Path, hub: str, terminals: list[Terminal]
-) -> None:
-    experiment = Terminal(
-        *("glue-experiment", "--episodes", "4", "--max-steps", "400", "--bind", hub, "--out", "run"),
-        cwd=tmp_path,
-    )
-    environment = Terminal("glue-env", "tests_endless.py:Endless", "--hub", hub, cwd=tmp_path)
-    (tmp_path / "tests_endless.py").write_text(_ENDLESS, encoding="utf-8")
-    terminals += [experiment, environment]
-    agent = Terminal("glue-agent", "tests_endless.py:Suicidal", "--hub", hub, cwd=tmp_path)
-    terminals.append(agent)
-    assert agent.end() == -signal.SIGKILL
-    terminals.append(Terminal("glue-agent", "random", "--hub", hub, cwd=tmp_path))
-    assert experiment.end() == 0
-    experiment.wait_for("agent Suicidal .* lost")
-    experiment.wait_for("episode 1 is void: the agent Suicidal")
-    experiment.wait_for(r"random/Endless/0 +4/4 .* 1$")
-
-
 _ENDLESS = """
-import os, signal
 from env_server.toys import SkeletonEnvironment
 from glue import Action, Agent, Observation
 
@@ -289,16 +247,6 @@ class Patient(Agent):
 
     def agent_step(self, reward, observation):
         return Action(ints=[0])
-
-
-class Suicidal(Patient):
-    steps = 0
-
-    def agent_step(self, reward, observation):
-        self.steps += 1
-        if self.steps == 200:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super().agent_step(reward, observation)
 
 
 class Broken(Patient):
@@ -512,15 +460,3 @@ def test_port_in_use_is_one_line(tmp_path: Path, hub: str, terminals: list[Termi
         assert "in use" in shown.stderr
         assert len(shown.stderr.splitlines()) == 1
     assert not (tmp_path / "runs").exists(), "nothing has begun"
-
-
-def test_full_disk_under_the_output_is_one_line(tmp_path: Path) -> None:
-    players = ["--env", "mines", "--agent", "random", "--in-process"]
-    command = [str(BIN / "glue-experiment"), "--episodes", "2", *players]
-    with Path("/dev/full").open("w") as full:
-        shown = subprocess.run(
-            command, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False
-        )
-    assert shown.returncode == 1
-    assert "Error: cannot write the output: No space left on device" in shown.stderr
-    assert "Traceback" not in shown.stderr

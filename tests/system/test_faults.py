@@ -5,20 +5,18 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import pytest
 import zmq
 
 from env_server.toys import SkeletonEnvironment
-from glue.client import experiment
-from glue.client.experiment import RemoteExperiment
+from glue.client.experiment import RemoteExperiment, connect
 from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
 from glue.engine.experiment import Experiment
@@ -34,50 +32,15 @@ from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import address, main, running
 from tests.system.proxy import Proxy
 
-pytestmark = pytest.mark.proof
-
 EPISODES = 4
 HEARTBEAT = 0.1
 
 
-class Ends(NamedTuple):
-    """Whether peers in threads and in processes connect by libzmq's DEALER instead of a plain socket."""
-
-    threads: bool
-    processes: bool
-
-
-_ends = Ends(threads=True, processes=False)
-
-
-@pytest.fixture(
-    autouse=True,
-    params=size([Ends(True, False)], [Ends(True, False), Ends(False, False), Ends(True, True)]),
-    ids=lambda ends: f"libzmq: {[name for name, there in ends._asdict().items() if there]}",
-)
-def ends(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ends:
-    """Return the kinds of connections of the peers of a test."""
-    chosen: Ends = request.param
-    monkeypatch.setattr(sys.modules[__name__], "_ends", chosen)
-    return chosen
-
-
-@contextmanager
-def connect(hub: str, **named: Any) -> Iterator[RemoteExperiment]:
-    """Connect an experiment that logs nothing."""
-    with ExitStack() as ending:
-        context: Context | None = None
-        if _ends.threads and _ends.processes:
-            context = zmq.Context()
-            ending.callback(context.destroy, 0)
-        yield ending.enter_context(experiment.connect(hub, **named, context=context))
-
-
 @contextmanager
 def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
-    """Serve an agent or environment in a thread; the hub must end before this does."""
+    """Serve an agent or environment in a thread, over libzmq's DEALER; the hub must end before this does."""
     serve = serve_agent if hasattr(player, "agent_init") else serve_environment
-    context: Context | None = zmq.Context() if _ends.threads else None
+    context: Context = zmq.Context()
 
     def program() -> None:
         serve(player, hub, session, context=context)
@@ -88,8 +51,7 @@ def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
         yield
     finally:
         thread.join(TIMEOUT)
-        if context is not None:
-            context.destroy(linger=0)
+        context.destroy(linger=0)
         assert not thread.is_alive()
 
 
@@ -102,7 +64,7 @@ class Processes:
     """Players in processes of their own, any number one after another."""
 
     def __init__(self, hub: str, role: str, player: str) -> None:
-        self._arguments = (role, hub, player, "libzmq" if _ends.processes else "plain")
+        self._arguments = (role, hub, player)
         self._started: list[Recorded] = []
 
     def __enter__(self) -> Processes:
@@ -263,11 +225,12 @@ def chain(glue: Experiment, episodes: int) -> list[float]:
     return [*returns, float(glue.rl_agent_message("?")), float(glue.rl_env_message("?"))]
 
 
+@pytest.mark.proof
 @pytest.mark.stage("proof")
 @pytest.mark.timeout(1200)
 def test_runs_over_connections_that_break_again_and_again_have_the_same_returns() -> None:
     # Most of the time of a cut is a wait, so that several runs take no longer than one.
-    runs, cuts = size((1, 100), (8, 3_400))  # in all, 10,000 over the three ends
+    runs, cuts = size((1, 100), (8, 10_000))
     with ThreadPoolExecutor(runs) as pool:
         list(pool.map(lambda seed: play_over_cuts(cuts // runs, seed), range(1, runs + 1)))
 

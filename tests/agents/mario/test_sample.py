@@ -66,28 +66,6 @@ def test_the_originals_actions_step_for_step() -> None:
     assert compared == 15_490
 
 
-def test_all_but_the_last_seven_actions_are_repeated(draw: Draw, task_spec: str) -> None:
-    screen = draw("M", "7" * 21)
-
-    def episode(steps: int) -> list[int]:
-        actions = [agent.agent_start(screen), *(agent.agent_step(0.0, screen) for _ in range(steps - 1))]
-        agent.agent_end(-10.0)
-        return [ACTIONS.index(action) for action in actions]
-
-    agent = SampleAgent(seed=5)
-    agent.agent_init(task_spec)
-    first = episode(40)
-    second = episode(40)
-    assert second[:33] == first[:33]
-    assert second[33:] != first[33:]
-    third = episode(20)
-    assert third == second[:20]
-    assert episode(40)[:13] == second[:13]
-    episode(7)
-    fresh = [episode(1) for _ in range(60)]
-    assert len({action for (action,) in fresh}) > 1
-
-
 def test_an_episode_that_was_cut_off_is_not_remembered(draw: Draw, task_spec: str) -> None:
     screen = draw("M", "7" * 21)
     agent = SampleAgent(seed=5)

@@ -7,12 +7,10 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,62 +20,13 @@ from glue import make, make_agent
 from glue.client.experiment import connect
 from glue.client.players import serve_agent, serve_environment
 from glue.errors import GlueError
-from glue.hub.config import Bind, HubConfig
-from glue.hub.io.server import Hub
-from glue.keys.allowed import read_keys
 from tests import forked
 from tests.keyed import KeyFolder
 from tests.scripted.peer import TIMEOUT
-from tests.system.proxy import Proxy
 from tests.system.runs import COMMAND, start, wait_until
 from tests.terminal import Terminal
 
-EPISODES = 30
 NOBODY = 65534
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> KeyFolder:
-    return KeyFolder(tmp_path)
-
-
-def play(hub: str, between: Callable[[int], None], **keys: Any) -> tuple[list[tuple[float, int]], bytes]:
-    """Return all results of a run of three peers, and the agent's save at the end."""
-
-    def serve(serve_one: Callable[..., str], player: object) -> None:
-        with suppress(GlueError):
-            serve_one(player, hub, **keys)
-
-    for pair in ((serve_agent, make_agent("sarsa")), (serve_environment, make("mines"))):
-        threading.Thread(target=serve, args=pair, daemon=True).start()
-    results = []
-    with connect(hub, **keys) as glue:
-        glue.rl_init(seed=7)
-        for number in range(EPISODES):
-            between(number)
-            glue.rl_episode(500)
-            results.append((glue.rl_return(), glue.rl_num_steps()))
-        return results, glue.rl_agent_save()
-
-
-def test_a_run_with_keys_is_the_run_without_even_if_the_network_breaks(folder: KeyFolder) -> None:
-    key = folder.entrant("carol")
-    folder.allow('[carol]\nrole = ["agent", "environment", "experiment"]')
-    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub:
-        plain = play(hub.endpoints[0], lambda number: None)
-    bind = Bind("tcp://127.0.0.1:*", keys=read_keys(folder.path))
-    with Hub(HubConfig(bind=(bind,), heartbeat=0.05)).in_background() as hub:
-        port = int(hub.endpoints[0].rpartition(":")[2])
-        with Proxy(port).in_background() as proxy:
-
-            def cut(number: int) -> None:
-                if number % 10 == 5:
-                    proxy.shut()
-                    proxy.open()
-
-            keyed = play(proxy.url, cut, key=key, hub_key=folder.hub_key)
-    assert keyed == plain
-    assert len(set(plain[0])) > EPISODES // 2
 
 
 @contextmanager

@@ -409,37 +409,12 @@ def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_ru
     glue.close()
 
 
-def test_our_experiment_learns_who_broke_the_protocol(rig: Rig) -> None:
-    class Liar(MirrorAgent):
-        def agent_start(self, observation: Observation) -> Action:
-            connection.send(Id.AGENT_END)
-            return super().agent_start(observation)
-
-    connection = rig.connect()
-    rig.serve_agent(Liar(), connection)
-    with rig.native() as glue, pytest.raises(PeerFailed, match="received AGENT_END; AGENT_START was asked"):
-        glue.rl_agent_start(Observation())
-
-
 def test_an_answer_without_a_call_is_a_fault(rig: Rig) -> None:
     liar = join(rig, Id.AGENT_CONNECTION)
     liar.send(Id.AGENT_STEP, EMPTY)
     assert ending(liar) == TERMINATE
     rig.log.wait_for("received AGENT_STEP; nothing was asked")
     run_test_1(rig)
-
-
-def test_a_player_that_ends_in_the_middle_of_an_answer_is_lost(rig: Rig) -> None:
-    rig.environment(FiveStepEnvironment())
-    agent = join(rig, Id.AGENT_CONNECTION)
-    glue = rig.experiment()
-    glue.connection.send(Id.RL_START)
-    agent.receive()
-    agent.send_raw(struct.pack(">iI3Ii", Id.AGENT_START, 16, 1, 0, 0, 7)[:-1])
-    agent.close()
-    rig.agent(MirrorAgent())
-    assert glue.connection.receive()[0] == Id.RL_START
-    glue.close()
 
 
 def let_our_environment_raise() -> None:
