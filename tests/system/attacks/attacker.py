@@ -3,7 +3,6 @@
     python -m tests.system.attacks.attacker URL SEED SECONDS [PUBLIC SECRET HUB]
 
 The three keys, in hexadecimal, are those of a peer that the hub lets in; without them nothing is encrypted.
-A line is printed when the attack begins.
 """
 
 from __future__ import annotations
@@ -214,7 +213,6 @@ def _main(url: str, seed: str, seconds: str, *keys: str) -> None:
     until = time.monotonic() + float(seconds)
     attackers = [Attacker(url, f"{seed}-{i}", tuple(map(bytes.fromhex, keys))) for i in range(_AT_ONCE)]
     threads = [threading.Thread(target=attacker.attack, args=(until,)) for attacker in attackers]
-    print("attacking", flush=True)
     for thread in threads:
         thread.start()
     for thread in threads:
