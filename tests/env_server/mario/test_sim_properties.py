@@ -79,7 +79,7 @@ def test_restored_end_is_still_an_end() -> None:
 
 @pytest.mark.stage("proof")  # its code has to be compiled
 @pytest.mark.proof
-def test_random_steps_stay_in_bounds(capsys: pytest.CaptureFixture[str]) -> None:
+def test_random_steps_stay_in_bounds() -> None:
     run = subprocess.run(
         [sys.executable, "-W", "error", random_play.__file__ or "", str(RANDOM_STEPS)],
         env={**os.environ, "NUMBA_BOUNDSCHECK": "1"},
@@ -89,7 +89,5 @@ def test_random_steps_stay_in_bounds(capsys: pytest.CaptureFixture[str]) -> None
     )
     assert run.returncode == 0, run.stderr
     met = json.loads(run.stdout)
-    with capsys.disabled():
-        print(f"\nrandom play: {met}")
     assert met["bounds checked"]
     assert met["steps"] >= RANDOM_STEPS
