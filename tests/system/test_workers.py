@@ -248,23 +248,3 @@ def test_players_do_not_outlive_a_killed_experiment(tmp_path: Path) -> None:
         terminal.send_signal(signal.SIGKILL)
         terminal.end()
     wait_until(lambda: not any(map(alive, players)), "the end of the players")
-
-
-def test_hub_that_stays_serves_one_trial_after_another(tmp_path: Path) -> None:
-    """A player from outside takes part in all of them."""
-    url = "ipc://meeting"
-    outside = [
-        Terminal(*command.split(), cwd=tmp_path)
-        for command in (f"glue-hub --bind {url}", f"glue-agent sarsa --hub {url}")
-    ]
-    try:
-        plan = (*MINES, "--episodes", 20, "--trials", 2)
-        done = run(*plan, "--hub", url, "--out", "hub", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        assert alive(outside[1].process.pid)
-    finally:
-        for terminal in outside:
-            terminal.close()
-    [(first, _), (second, _)] = contents(tmp_path / "hub").values()
-    assert len(first) == len(second) == 20
-    assert first != second  # each with a seed of its own

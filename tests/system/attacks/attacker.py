@@ -28,7 +28,7 @@ from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Message
 from tests.scripted import curve
 from tests.scripted.curve import CurveClient, Pair, command
-from tests.scripted.peer import ABORT, GREETING, ScriptedPeer, hello_scalars
+from tests.scripted.peer import ABORT, GREETING, ScriptedPeer, framed, hello_scalars
 
 HONEST: Final = ("one", "two", "three", "four")
 """The sessions whose names the attacker knows."""
@@ -171,9 +171,9 @@ class Attacker:
             peer.send_bytes(bytes((flags,)) + struct.pack(">Q", size) + bytes(2**16))
 
     def endless(self) -> None:
-        """Send a message that never ends."""
+        """Send a message that never ends, or nothing but noise."""
         with self._greet() as peer:
-            peer.send_bytes(b"\x01\x00" * 50_000)
+            peer.send_bytes(self._random.choice((b"\x01\x00", framed(b"x"))) * 50_000)
 
     def flood(self) -> None:
         """Send many messages as an experiment, and read nothing."""

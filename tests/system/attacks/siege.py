@@ -64,15 +64,13 @@ class Honest:
         url: address of the hub.
         session: name of the session.
         keys: named arguments of `connect`.
-        pause: seconds between two episodes.
 
     Attributes:
         played: number of episodes that have ended.
     """
 
-    def __init__(self, url: str, session: str, keys: Mapping[str, Any], pause: float = 0.0) -> None:
+    def __init__(self, url: str, session: str, keys: Mapping[str, Any]) -> None:
         self.played = 0
-        self._pause = pause
         self._returns: deque[float] = deque()
         self._ended = threading.Event()
         self._stop = threading.Event()
@@ -90,7 +88,6 @@ class Honest:
                 self._returns.append(glue.rl_return())
                 self.played += 1
                 self._ended.set()
-                self._stop.wait(self._pause)
 
     def check(self) -> None:
         """Assert that episodes have ended since the last check, with the same returns as the twin's."""
