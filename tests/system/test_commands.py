@@ -305,16 +305,8 @@ def test_json_whose_reader_has_seen_enough_ends_without_complaint(
 ) -> None:
     reader, writer = os.pipe()
     os.close(reader)
-    command = [
-        str(BIN / "glue-experiment"),
-        "--env",
-        "mines",
-        "--agent",
-        "random",
-        "--episodes",
-        "500",
-        "--json",
-    ]
+    players = ("--env", "mines", "--agent", "random", "--episodes", "500")
+    command = [str(BIN / "glue-experiment"), *players, "--json"]
     shown = subprocess.run(
         [*command, *topology], cwd=tmp_path, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120
     )
@@ -407,36 +399,33 @@ def test_shell_completes_names(
 
 MISTAKES = {
     "an option before the name": (
-        ["glue-agent", "--hub", "ipc:///nowhere", "random"],
+        "glue-agent --hub ipc:///nowhere random",
         "glue-agent random --hub ipc:///nowhere",
     ),
     "an option of the agent": (
-        ["glue-experiment", "--env", "mines", "--agent", "sarsa", "--step-size", "0.2", "--episodes", "1"],
+        "glue-experiment --env mines --agent sarsa --step-size 0.2 --episodes 1",
         "--agent-option step_size=0.2",
     ),
     "an option of the environment": (
-        ["glue-watch", "--agent", "random", "--env", "mines", "--random-start"],
+        "glue-watch --agent random --env mines --random-start",
         "--env-option random_start=on",
     ),
     "a misspelt option": (
-        [
-            *("glue-experiment", "--env", "mines", "--agent", "sarsa", "--episodes", "1"),
-            *("--agent-option", "stepsize=1"),
-        ],
+        "glue-experiment --env mines --agent sarsa --episodes 1 --agent-option stepsize=1",
         "did you mean step_size",
     ),
-    "an address open to others": (["glue-hub", "--bind", "tcp://0.0.0.0:4999"], "--insecure"),
-    "a key without the hub's, of a player": (["glue-agent", "random", "--key", "own"], "(--hub-key)"),
-    "no key, of a subcommand": (["glue-compete", "board", ".", "--signed-by", "nowhere"], "(--signed-by)"),
-    "two options at once": (["glue-hub", "--legacy-port", "0.0.0.0:4096"], "(--legacy-port, --insecure)"),
-    "a file that is not there": (["glue-agent", "nowhere.py:Agent"], "no file nowhere.py"),
+    "an address open to others": ("glue-hub --bind tcp://0.0.0.0:4999", "--insecure"),
+    "a key without that of the hub": ("glue-agent random --key own", "(--hub-key)"),
+    "no key, of a subcommand": ("glue-compete board . --signed-by nowhere", "(--signed-by)"),
+    "two options at once": ("glue-hub --legacy-port 0.0.0.0:4096", "(--legacy-port, --insecure)"),
+    "a file that is not there": ("glue-agent nowhere.py:Agent", "no file nowhere.py"),
 }
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_mistake_is_answered_in_a_line_that_says_what_to_do(mistake: str, tmp_path: Path) -> None:
     command, advice = MISTAKES[mistake]
-    shown = run(*command, cwd=tmp_path)
+    shown = run(*command.split(), cwd=tmp_path)
     assert shown.returncode in (1, 2)
     assert advice in shown.stderr
     assert "Traceback" not in shown.stderr

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
@@ -23,7 +23,7 @@ from glue.errors import GlueError
 from tests import forked
 from tests.keyed import KeyFolder
 from tests.scripted.peer import TIMEOUT
-from tests.system.runs import COMMAND, start, wait_until
+from tests.system.runs import start, wait_until
 from tests.terminal import Terminal
 
 NOBODY = 65534
@@ -61,9 +61,8 @@ def test_a_key_from_its_making_to_its_use(tmp_path: Path) -> None:
             "GLUE_KEY": "carol.key_secret",
             "GLUE_HUB_KEY": str(keys.hub_key),
         }
-        command = [*COMMAND, "--env", "mines", "--agent", "random", "--episodes", "2", "--out", "run"]
-        run_here = {"cwd": tmp_path, "capture_output": True, "text": True, "timeout": TIMEOUT}
-        done = subprocess.run(command, env=environment, **run_here)  # type: ignore[call-overload]
+        players = ("--env", "mines", "--agent", "random", "--episodes", "2", "--out", "run")
+        done = forked.run("glue-experiment", *players, cwd=tmp_path, env=environment, timeout=TIMEOUT)
         assert done.returncode == 0, done.stderr
         assert "2/2" in done.stdout
 
@@ -203,28 +202,19 @@ def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(tmp_
 @pytest.mark.stage("keys")
 def test_who_else_can_join_is_said_where_players_from_outside_are_expected(tmp_path: Path) -> None:
     outside = ("--env", "mines", "--episodes", "1", "--bind", "tcp://127.0.0.1:*")
-    with start(*outside, cwd=tmp_path) as process:
-        assert process.stderr is not None
-        said = ""
-        deadline = time.monotonic() + TIMEOUT
-        while "open to every user of this machine" not in said and time.monotonic() < deadline:
-            said += process.stderr.readline()
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=TIMEOUT)
-    assert "open to every user of this machine, unless keys" in said
+    with closing(Terminal("glue-experiment", *outside, cwd=tmp_path)) as experiment:
+        experiment.wait_for("open to every user of this machine, unless keys")
 
 
 def test_an_experiment_with_keys_lets_only_them_in(tmp_path: Path) -> None:
     keys = KeyFolder(tmp_path)
     carol, erin = keys.entrant("carol"), keys.entrant("erin")
     keys.allow('[carol]\nrole = ["agent", "environment"]\n[erin]\nrole = "environment"\n')
-    outside = ("--env", "mines", "--episodes", "2", "--bind", "tcp://127.0.0.1:*", "--keys", keys.path)
-    with start(*outside, "--out", "run", cwd=tmp_path) as process:
-        assert process.stderr is not None
-        while "--hub tcp" not in (line := process.stderr.readline()):
-            assert process.poll() is None
-        assert f"--key THEIRS.key_secret --hub-key {keys.hub_key}" in line
-        url = line.partition("--hub ")[2].split()[0]
+    outside = ("--env", "mines", "--episodes", "2", "--bind", "tcp://127.0.0.1:*", "--keys", str(keys.path))
+    with closing(Terminal("glue-experiment", *outside, "--out", "run", cwd=tmp_path)) as experiment:
+        url = experiment.wait_for(
+            rf"--hub (tcp\S+) .*--key THEIRS.key_secret --hub-key {re.escape(str(keys.hub_key))}"
+        )[1]
         refusal = "may join at this address of the hub, or with this key"
         with pytest.raises(GlueError, match=refusal):
             serve_agent(make_agent("random"), url, key=erin, hub_key=keys.hub_key)
@@ -232,6 +222,5 @@ def test_an_experiment_with_keys_lets_only_them_in(tmp_path: Path) -> None:
             serve_environment(make("mines"), url, key=carol, hub_key=keys.hub_key)
         reason = serve_agent(make_agent("random"), url, key=carol, hub_key=keys.hub_key)
         assert reason == "the experiment is over"
-        output, _ = process.communicate(timeout=TIMEOUT)
-    assert process.returncode == 0
-    assert "2/2" in output
+        assert experiment.end() == 0
+        experiment.wait_for("2/2")
