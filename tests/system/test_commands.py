@@ -431,21 +431,3 @@ def test_mistake_is_answered_in_a_line_that_says_what_to_do(mistake: str, tmp_pa
     assert "Traceback" not in shown.stderr
     assert sum(line.startswith("Error:") for line in shown.stderr.splitlines()) == 1
     assert not list(tmp_path.iterdir()), "nothing has begun"
-
-
-def test_port_in_use_is_one_line(tmp_path: Path, hub: str, terminals: list[Terminal]) -> None:
-    first = Terminal("glue-hub", "--bind", "tcp://127.0.0.1:*", cwd=tmp_path)
-    terminals.append(first)
-    taken = first.wait_for(r"listening on (\S+)").group(1)
-    port = taken.rpartition(":")[2]
-    for command in (
-        ["glue-hub", "--bind", taken],
-        ["glue-experiment", "--episodes", "1", "--bind", taken],
-        ["glue-experiment", "--episodes", "1", "--bind", "tcp://127.0.0.1:*", "--legacy-port", port],
-        ["glue-hub", "--bind", "tcp://127.0.0.1:*", "--legacy-port", port],
-    ):
-        shown = run(*command, cwd=tmp_path)
-        assert shown.returncode == 2
-        assert "in use" in shown.stderr
-        assert len(shown.stderr.splitlines()) == 1
-    assert not (tmp_path / "runs").exists(), "nothing has begun"

@@ -8,9 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pytest
-
-from agents.mario.actions import ACTIONS
 from agents.mario.sample import SampleAgent
 from env_server.mario.environment import InfiniteMario
 from glue.types import Action
@@ -76,10 +73,3 @@ def test_an_episode_that_was_cut_off_is_not_remembered(draw: Draw, task_spec: st
         agent.agent_start(screen)
     repeated = [agent.agent_start(screen), *(agent.agent_step(0.0, screen) for _ in range(12))]
     assert repeated == first[:13]
-
-
-@pytest.mark.parametrize("y", [-5.0, -0.5, 0.0, 17.5, 2.0e9])
-def test_mario_outside_the_screen_is_no_trouble(draw: Draw, task_spec: str, y: float) -> None:
-    agent = SampleAgent(seed=1)
-    agent.agent_init(task_spec)
-    assert agent.agent_start(draw("7" * 21, at=(3.0, y))) in ACTIONS

@@ -212,13 +212,10 @@ def test_level_changed_by_message_counts_from_the_next_episode() -> None:
     "message",
     [
         "",
-        "help",
         "parameters please",
-        "level 5",
         "level level_seed=five",
         "level level_type=3",
         "level speed_walk=1",
-        "level height=20",
     ],
 )
 def test_other_messages_are_refused_and_change_nothing(message: str) -> None:

@@ -98,13 +98,6 @@ def observers_of_a_step(attack: Attack, name: str) -> None:
     environment.wait()
 
 
-def observers_of_an_answer(attack: Attack, name: str) -> None:
-    _, agent, experiment = watched(attack, name)
-    experiment.say(Kind.RL_AGENT_MESSAGE, 1)
-    agent.answer(attack.huge)
-    agent.wait()
-
-
 def experiment_that_does_not_read(attack: Attack, name: str) -> None:
     environment, agent = attack.peer("environment", name), attack.peer("agent", name)
     experiment = attack.peer("experiment", name, reads=False)
@@ -151,7 +144,6 @@ def half_a_message_before_leaving(attack: Attack, name: str) -> None:
 
 ATTACKS: dict[Callable[[Attack, str], object], int] = {
     observers_of_a_step: 1,
-    observers_of_an_answer: 2,
     experiment_that_does_not_read: 6,
     agent_that_does_not_read: 10,
     light_sessions: 12,

@@ -178,14 +178,12 @@ def listening(pid: int) -> set[str]:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
-def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(tmp_path: Path) -> None:
+def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with open_temporary_directory() as temporary:
-        os.environ["TMPDIR"] = str(temporary)
-        try:
-            process = start("--env", "mines", "--agent", "random", "--episodes", "1000000", cwd=tmp_path)
-        finally:
-            del os.environ["TMPDIR"]
-        with process:
+        monkeypatch.setenv("TMPDIR", str(temporary))
+        with start("--env", "mines", "--agent", "random", "--episodes", "1000000", cwd=tmp_path) as process:
             wait_until(lambda: list(temporary.glob("glue-*/hub")), "the meeting place")
             [path] = temporary.glob("glue-*/hub")
             assert path.parent.stat().st_mode & 0o777 == 0o700

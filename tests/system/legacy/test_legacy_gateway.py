@@ -14,12 +14,7 @@ from glue.engine.local import local
 from glue.errors import PeerFailed
 from glue.types import Action, Observation
 from tests.players import ScriptedAgent, ScriptedEnvironment
-from tests.system.conformance import (
-    SCENARIOS,
-    FiveStepEnvironment,
-    MirrorAgent,
-    Seen,
-)
+from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent, Seen
 from tests.system.legacy.legacy_client import STYLES, Id, Numbers
 from tests.system.legacy.legacy_rig import Rig
 
@@ -124,18 +119,6 @@ def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> No
     glue.init()
     glue.close()
     assert calls == ["agent_init sample task spec"] * 2
-
-
-def test_the_very_first_step_shows_no_action_if_it_is_terminal_and_later_ones_the_last(rig: Rig) -> None:
-    rig.native_agent(ScriptedAgent())
-    rig.native_environment(ScriptedEnvironment(length=1))
-    glue = rig.experiment()
-    for expected in (Numbers(), Numbers()):
-        glue.init()
-        glue.start()
-        assert glue.step() == (1.0, Numbers((1,)), 1, expected)
-        assert glue.step()[3] == expected
-    glue.close()
 
 
 def test_an_episode_counts_as_steps_only_if_it_went_on_after_one(rig: Rig) -> None:
