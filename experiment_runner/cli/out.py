@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final, TextIO
 
 import click
 
-from experiment_runner.store.lock import DirectoryTaken
 from glue.errors import ConfigError, ExperimentError
 
 if TYPE_CHECKING:
@@ -73,6 +72,8 @@ def naming_out(otherwise: str = "") -> Iterator[None]:
     Args:
         otherwise: another remedy, appended to the message.
     """
+    from experiment_runner.store.lock import DirectoryTaken
+
     try:
         yield
     except DirectoryTaken as error:

@@ -288,7 +288,11 @@ def _programs(results: Results) -> list[str]:
 
 
 def _numbers(setting: Setting, over: str, rng: np.random.Generator) -> dict[str, object]:
-    begun = [setting.values[i] for i in setting.counted()]
+    begun = [
+        values
+        for trial, values in zip(setting.trials, setting.values, strict=True)
+        if values.size and (trial.finished or trial.failure is None)
+    ]
     numbers: dict[str, object] = {
         "setting": setting.label,
         "finished_trials": sum(trial.finished for trial in setting.trials),

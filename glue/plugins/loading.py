@@ -296,8 +296,8 @@ def _look_in(folder: Path, own: str = "") -> None:
 
 def _home(module: ModuleType | None) -> Path | None:
     """Return the folder that holds a module or package; None if that is not known."""
-    variables = {} if module is None else vars(module)
-    place = next(iter(variables.get("__path__", ())), variables.get("__file__"))
+    variables = getattr(module, "__dict__", {})  # without a module's `__getattr__`, which may import
+    place = next(iter(variables.get("__path__") or ()), variables.get("__file__"))
     return Path(place).parent if isinstance(place, str) else None
 
 

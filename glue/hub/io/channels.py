@@ -75,7 +75,6 @@ class _Channel:
         self._held = 0
         self._dismissed = False
         connection.owner = self
-        self.account()
 
     def admits(self, role: Role, session: str) -> bool:
         """Return whether a peer that connects here may join `session` as `role`."""
@@ -130,10 +129,10 @@ class _Channel:
 
     def evict(self, why: str) -> None:
         """Drop the connection, which uses too much memory, or its seats if it is gone already."""
-        if self.connection.closed:
-            self._switchboard.lose(self, why, clock.monotonic())
-        else:
+        if self._channels.has(self):
             self._channels.drop(self, why)
+        else:
+            self._switchboard.lose(self, why, clock.monotonic())
 
     def _weigh(self) -> None:
         """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
@@ -143,8 +142,8 @@ class _Channel:
             self.account()
 
     def account(self) -> None:
-        """Account for the connection, if it is open, and for its seats, which may outlast it."""
-        used = 0 if self.connection.closed else _BASE + self._held
+        """Account for the connection until it is dropped, and for its seats, which may outlast it."""
+        used = _BASE + self._held if self._channels.has(self) else 0
         self._switchboard.memory.hold(self, used + _SEAT * self._switchboard.num_seats(self))
 
     def ready(self, now: float) -> None:
@@ -342,6 +341,10 @@ class Channels:
         channel.account()
         self._log.connection(f"{channel.connection.name} is gone")
 
+    def has(self, channel: _Channel) -> bool:
+        """Return whether a connection has not been dropped."""
+        return channel in self._open
+
     def complain(self, channel: _Channel, why: str) -> None:
         """Log why a connection is dropped, unless the reason is the same as the last time."""
         # A peer with the wrong kind of socket connects again and again.
@@ -364,6 +367,7 @@ class Channels:
             connection.send(zmtp.CURVE_GREETING)
         self._open[channel] = None
         self._unseated[channel] = now
+        channel.account()
         self._log.connection(f"{name} connected")
 
     def _left(self, route: Route, session: str) -> None:

@@ -113,9 +113,9 @@ def test_show_has_a_line_for_each_setting(run: Path) -> None:
     lines = call("show", run).splitlines()
     header = next(i for i, line in enumerate(lines) if line.startswith("setting"))
     random, sarsa = (line.split() for line in lines[header + 1 : header + 3])
-    # random's trials average 2.5/8 and 10 + 2.5/8, sarsa's finished one 20 + 2.5/8
+    # random's trials average 2.5/8 and 10 + 2.5/8, sarsa's 20 + 2.5/8 and, so far, 30 + 2/8
     assert random == ["random", "2/2", "8", "5.31", "0.31", "to", "10.31", "(!)", "5.31", "-"]
-    assert sarsa == ["sarsa", "1/2", "4", "20.31", "-", "20.31", "-"]
+    assert sarsa == ["sarsa", "1/2", "7", "25.28", "20.31", "to", "30.25", "(!)", "25.28", "-"]
 
 
 def test_show_sorts_the_settings_of_several_runs(run: Path, tmp_path: Path) -> None:
@@ -514,7 +514,7 @@ def test_table_of_a_paper_is_in_latex_or_markdown(run: Path) -> None:
 def test_comparison_of_few_trials_says_so(run: Path, tmp_path: Path) -> None:
     other = make(tmp_path / "other", [4, 4, 4, 4])
     *_, last, note = call("compare", run, other).splitlines()
-    assert " 1 (!) " in last
+    assert " 1 (!) " in last  # of the two, one is not finished
     assert note == "((!) fewer than 5 trials: their intervals are too narrow)"
 
 

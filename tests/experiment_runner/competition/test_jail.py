@@ -74,8 +74,8 @@ def test_the_seccomp_profile_is_text_for_docker_and_a_path_for_podman() -> None:
 
 def test_no_two_jails_have_the_same_user_at_the_same_time() -> None:
     with ExitStack() as stack:
-        users = [stack.enter_context(own_user()) for _ in range(200)]
-    assert len(set(users)) == 200
+        users = [stack.enter_context(own_user()) for _ in range(20)]
+    assert len(set(users)) == 20
     assert all(user.split(":")[0] == user.split(":")[1] != "0" for user in users)
 
 

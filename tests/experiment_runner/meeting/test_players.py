@@ -102,8 +102,9 @@ def test_reward_that_is_not_finite_is_noticed_in_a_list_too() -> None:
         FiniteRewards(Lists()).env_step(Action(ints=[1]))
 
 
-@pytest.mark.parametrize("in_process", [True, False])
-@pytest.mark.parametrize("reward", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("reward", "in_process"), [(math.nan, True), (math.inf, True), (-math.inf, True), (math.nan, False)]
+)
 def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
     tmp_path: Path, in_process: bool, reward: float
 ) -> None:
