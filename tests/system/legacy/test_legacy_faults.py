@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import socket
 import struct
 import threading
 from collections import Counter
@@ -43,12 +42,6 @@ from tests.system.legacy.legacy_rig import Log, Rig, gateway
 ROLES = (Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION)
 EMPTY = pack_numbers(Numbers())
 TERMINATE = struct.pack(">iI", Id.RL_TERM, 0)
-
-
-@pytest.fixture
-def rig() -> Iterator[Rig]:
-    with gateway() as rig:
-        yield rig
 
 
 def join(rig: Rig, role: Id, session: str = "default") -> Connection:
@@ -283,14 +276,6 @@ def silent_connections(rig: Rig) -> list[Connection]:
     return [silent, halting]
 
 
-def test_a_silent_connection_delays_no_other(rig: Rig) -> None:
-    silent = silent_connections(rig)
-    run_test_1(rig)
-    for connection in silent:
-        assert connection.nothing_received()
-        connection.close()
-
-
 def test_a_silent_connection_is_dropped_after_the_timeout() -> None:
     with gateway(timeout=0.2) as rig:
         for connection in silent_connections(rig):
@@ -445,37 +430,12 @@ def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_ru
     glue.close()
 
 
-def test_our_experiment_learns_who_broke_the_protocol(rig: Rig) -> None:
-    class Liar(MirrorAgent):
-        def agent_start(self, observation: Observation) -> Action:
-            connection.send(Id.AGENT_END)
-            return super().agent_start(observation)
-
-    connection = rig.connect()
-    rig.serve_agent(Liar(), connection)
-    with rig.native() as glue, pytest.raises(PeerFailed, match="received AGENT_END; AGENT_START was asked"):
-        glue.rl_agent_start(Observation())
-
-
 def test_an_answer_without_a_call_is_a_fault(rig: Rig) -> None:
     liar = join(rig, Id.AGENT_CONNECTION)
     liar.send(Id.AGENT_STEP, EMPTY)
     assert ending(liar) == TERMINATE
     rig.log.wait_for("received AGENT_STEP; nothing was asked")
     run_test_1(rig)
-
-
-def test_a_player_that_ends_in_the_middle_of_an_answer_is_lost(rig: Rig) -> None:
-    rig.environment(FiveStepEnvironment())
-    agent = join(rig, Id.AGENT_CONNECTION)
-    glue = rig.experiment()
-    glue.connection.send(Id.RL_START)
-    agent.receive()
-    agent.send_raw(struct.pack(">iI3Ii", Id.AGENT_START, 16, 1, 0, 0, 7)[:-1])
-    agent.close()
-    rig.agent(MirrorAgent())
-    assert glue.connection.receive()[0] == Id.RL_START
-    glue.close()
 
 
 def let_our_environment_raise() -> None:
@@ -649,14 +609,6 @@ def test_an_error_in_a_delivery_costs_the_receiver_and_not_the_sender(
     play(pair)
 
 
-def test_an_error_in_accepting_costs_the_connection_alone(pair: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr("glue.legacy.gateway._Handshake", raise_fault)
-        check_ended(pair.connect(session=FAULTY))
-    pair.log.wait_for("please report this")
-    play(pair)
-
-
 def test_a_body_that_is_larger_than_the_hub_takes_is_a_fault(pair: Rig) -> None:
     liar = join(pair, Id.EXPERIMENT_CONNECTION, FAULTY)
     liar.send(Id.RL_AGENT_MESSAGE, struct.pack(">I", 2**18 + 1) + b"x" * (2**18 + 1))
@@ -674,23 +626,3 @@ def test_bytes_of_original_programs_count_and_the_largest_holder_is_dropped(pair
     pair.log.wait_for("was dropped: it used 1 MiB")
     program.reset()
     play(pair)
-
-
-def test_nothing_waits_for_the_log_of_the_gateway() -> None:
-    stuck, go_on = threading.Event(), threading.Event()
-
-    def write(line: str) -> None:
-        stuck.set()
-        assert go_on.wait(TIMEOUT)
-
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
-    (port,) = Gateway(hub, [LegacyPort(0)], write).ports
-    with hub.in_background():
-        try:
-            for _ in range(3):
-                with socket.create_connection(("127.0.0.1", port.port), TIMEOUT) as program:
-                    program.sendall(struct.pack(">iI", 99, 0))
-                    assert program.recv(1) == b""
-            assert stuck.wait(TIMEOUT)
-        finally:
-            go_on.set()
