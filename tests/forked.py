@@ -52,7 +52,7 @@ SERVER.set_forkserver_preload(
         "matplotlib.figure",
         "tests.forked",
         "tests.glue.conform.forked",
-        "tests.glue.conform.wrong_experiment",
+        "tests.glue.conform.right",
         "tests.scripted.process",
     ]
 )

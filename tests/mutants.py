@@ -30,10 +30,13 @@ PACKAGES: Final = ("glue", "experiment_runner")
 
 ALSO: Final = {
     "glue/cli": ("tests/system/test_commands.py", "tests/glue/hub"),
-    "glue/client": ("tests/glue/hub", "tests/simulation", "tests/system/test_conformance.py"),
+    "glue/client": (
+        *("tests/glue/hub", "tests/simulation", "tests/system/test_conformance.py"),
+        "tests/glue/conform/test_own_clients.py",
+    ),
     "glue/conform": ("tests/glue/testing",),
-    "glue/engine": ("tests/system/test_conformance.py", "tests/glue/hub"),
-    "glue/hub": ("tests/simulation", "tests/system/test_faults.py"),
+    "glue/engine": ("tests/system/test_conformance.py", "tests/glue/hub", "tests/glue/testing"),
+    "glue/hub": ("tests/simulation", "tests/system/test_faults.py", "tests/glue/testing"),
     "glue/legacy": ("tests/system/legacy",),
     "glue/wire": ("tests/glue/hub", "tests/glue/client", "tests/simulation"),
     "experiment_runner/meeting": ("tests/experiment_runner/executors",),
@@ -148,9 +151,9 @@ def caught(mutant: Mutant, options: Sequence[str], seconds: float) -> str:
         return "survived" if done.returncode == 0 else "caught"
 
 
-def failing(tests: Sequence[str], options: Sequence[str]) -> list[str]:
+def failing(tests: Sequence[str], options: Sequence[str], jobs: int) -> list[str]:
     """Return the tests that fail without a mutant, as on a machine that lacks what they need."""
-    printed = _pytest(ROOT, "-rfE", *options, *tests).stdout
+    printed = _pytest(ROOT, "-rfE", f"--numprocesses={jobs}", *options, *tests).stdout
     return re.findall(r"^(?:FAILED|ERROR) (tests/\S+)", printed, re.MULTILINE)
 
 
@@ -181,9 +184,8 @@ def main() -> None:
         mutants = [Mutant(*json.loads(row)[:4]) for row in asked.of.read_text("utf-8").splitlines()]
     found: Counter[str] = Counter()
     with ThreadPoolExecutor(asked.jobs) as pool, asked.out.open("w") as out:
-        folders = {tuple(tests_of(mutant.file)) for mutant in mutants}
-        known = set().union(*pool.map(lambda tests: failing(tests, asked.options), folders))
-        options = [*asked.options, *(f"--deselect={test}" for test in sorted(known))]
+        tests = sorted({test for mutant in mutants for test in tests_of(mutant.file)})
+        options = [*asked.options, *map("--deselect={}".format, failing(tests, asked.options, asked.jobs))]
         verdicts = pool.map(lambda mutant: caught(mutant, options, asked.seconds), mutants)
         for mutant, verdict in zip(mutants, verdicts, strict=True):
             found[verdict] += 1

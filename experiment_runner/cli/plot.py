@@ -17,20 +17,17 @@ from glue.console import say
 from glue.suggestions import did_you_mean
 
 
-class _Size(click.ParamType[tuple[float, float]]):
-    name = "size"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float]:
-        width, _, height = str(value).partition("x")
-        try:
-            size = float(width), float(height)
-        except ValueError:
-            size = (0.0, 0.0)
-        if not all(1 <= inches <= 50 for inches in size):
-            self.fail(f"write width and height in inches, from 1 to 50, as in 6.4x4; not {value}", param, ctx)
-        return size
+def _size(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    width, _, height = text.partition("x")
+    try:
+        size = float(width), float(height)
+    except ValueError:
+        size = (0.0, 0.0)
+    if not all(1 <= inches <= 50 for inches in size):
+        raise click.BadParameter(f"write width and height in inches, from 1 to 50, as in 6.4x4; not {text}")
+    return size
 
 
 @click.command("glue-plot")
@@ -74,7 +71,7 @@ class _Size(click.ParamType[tuple[float, float]]):
 )
 @select_option
 @click.option("--title", metavar="TEXT", help="Title, in place of the description of what is drawn.")
-@click.option("--size", type=_Size(), metavar="WxH", help="Width and height in inches, as in 3.3x2.5.")
+@click.option("--size", callback=_size, metavar="WxH", help="Width and height in inches, as in 3.3x2.5.")
 @click.option("--columns", type=click.IntRange(1, 20), metavar="N", help="Panels side by side. [default: 2]")
 @click.version_option(__version__, prog_name="glue-plot")
 def plot(

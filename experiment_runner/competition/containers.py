@@ -70,7 +70,7 @@ _BYTES_PER_SECOND: Final = 2**15
 
 _READS_PER_SECOND: Final = 50
 
-_LAST_WORDS_SECONDS: Final = 3.0
+_LAST_WORDS_SECONDS: Final = 10.0
 """Time to wait for the output of a container that has ended."""
 
 _LATE_SECONDS: Final = 1.0
@@ -330,7 +330,7 @@ class _Printed(threading.Thread):
 
     The engine, which passes the output on, spends its own time on each piece that a program prints, however
     small. So little is read at a time, and seldom: what waits in the engine comes in one piece, and a program
-    that prints without end has to wait.
+    that prints without end has to wait. Once it has ended, the rest is read without a pause.
 
     Args:
         stream: the container's output; closed by `take`.
@@ -342,6 +342,7 @@ class _Printed(threading.Thread):
         self._stream = stream
         self._size = size
         self._kept = bytearray()
+        self._over = threading.Event()
 
     def run(self) -> None:
         """Read until the container ends."""
@@ -349,10 +350,11 @@ class _Printed(threading.Thread):
             for chunk in self._stream:
                 self._kept += chunk
                 del self._kept[: -self._size]
-                time.sleep(1 / _READS_PER_SECOND + len(chunk) / _BYTES_PER_SECOND)
+                self._over.wait(1 / _READS_PER_SECOND + len(chunk) / _BYTES_PER_SECOND)
 
     def take(self) -> bytes:
         """Return the last output of a container that has ended."""
+        self._over.set()
         self.join(_LAST_WORDS_SECONDS)
         with suppress(OSError):
             self._stream.close()

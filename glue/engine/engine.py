@@ -245,7 +245,9 @@ class Engine:
 
     def _step(self, _: tuple[Any, ...], __: Any) -> Verb:
         self._started = True
-        scalars, self.observation = yield Instruction(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
+        scalars, self.observation = yield _instruction(
+            Instruction, (_ENV_STEP, _NO_SCALARS, self.last_action)
+        )
         reward, terminal = scalars
         self.total_reward += reward
         if terminal:
@@ -255,7 +257,7 @@ class Engine:
             self.num_episodes += 1
         else:
             self.num_steps += 1
-            _, self.last_action = yield Instruction(Kind.AGENT_STEP, (reward,), self.observation)
+            _, self.last_action = yield _instruction(Instruction, (_AGENT_STEP, (reward,), self.observation))
         return scalars, (self.observation, self.last_action)
 
     def _episode(self, scalars: tuple[Any, ...], _: Any) -> Verb:

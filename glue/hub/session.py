@@ -358,7 +358,8 @@ class Session:
             experiment = self.peers.get(Role.EXPERIMENT)
             if kind is Kind.RL_EPISODE and experiment is not None and OUTCOME in experiment.capabilities:
                 scalars += (self._engine.total_reward, self._engine.num_steps)
-            self._answer_experiment(Message(kind, self.name, self._request_seq, scalars, body or b""))
+            reply = _message(Message, (kind, self.name, self._request_seq, scalars, body or b""))
+            self._answer_experiment(reply)
             return
         player = self.peers.get(role)
         if player is not None and kind not in _ALWAYS:

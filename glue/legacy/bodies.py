@@ -71,11 +71,11 @@ class _Type:
     """
 
     def __init__(self) -> None:
-        self._latest = b"", b""  # in their format and in ours
+        self.latest = b"", b""  # in their format and in ours
 
     def read(self, payload: bytes, offset: int) -> tuple[bytes, int]:
         """Return our body of a type in a payload, and the offset after it."""
-        theirs, ours = self._latest
+        theirs, ours = self.latest
         if payload.startswith(theirs, offset) and theirs:
             return ours, offset + len(theirs)
         at_ints = offset + _THEIR_COUNTS.size
@@ -102,7 +102,7 @@ class _Type:
 
     def write(self, body: bytes) -> bytes:
         """Return the bytes of our body in a payload."""
-        theirs, ours = self._latest
+        theirs, ours = self.latest
         if body == ours and ours:
             return theirs
         size = body_size(body)
@@ -126,7 +126,7 @@ class _Type:
 
     def _remember(self, theirs: bytes, ours: bytes) -> None:
         if len(ours) <= _MAX_REMEMBERED:
-            self._latest = theirs, ours
+            self.latest = theirs, ours
 
 
 _OBSERVATION: Final = _Type()
@@ -140,6 +140,16 @@ def _read_two_types(payload: bytes, offset: int) -> tuple[bytes, int]:
 
 
 def _write_two_types(body: bytes) -> bytes:
+    observation, our_observation = _OBSERVATION.latest
+    action, our_action = _ACTION.latest
+    # Both have usually just been read. A body's counts come first: nothing longer can begin with it.
+    if (
+        our_action
+        and len(body) == len(our_observation) + len(our_action)
+        and body.startswith(our_observation)
+        and body.endswith(our_action)
+    ):
+        return observation + action
     size = body_size(body)
     return _OBSERVATION.write(body[:size]) + _ACTION.write(body[size:])
 

@@ -31,6 +31,7 @@ Source: RL-Glue core 3.04, RL_network.c; rl-glue-ext, Java codec, Network.java.
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
@@ -67,6 +68,10 @@ class Frame(NamedTuple):
     body: bytes = b""
 
 
+_frame: Final = tuple.__new__
+"""Constructor of a named tuple, at half the cost of calling its class."""
+
+
 class Layout(NamedTuple):
     """The frame of one kind.
 
@@ -98,6 +103,7 @@ class Decoder:
 
     Args:
         vocabulary: the kinds that may be received; `expect` changes it once the role is known.
+        max_body: maximum size of a body in our format, in bytes; by default, what `vocabulary` allows.
 
     After each `receive_data`, call `next_event` until it returns None. Then at most one incomplete message is
     held, whose size has been checked.
@@ -106,8 +112,9 @@ class Decoder:
         buffered: bytes received and not yet returned as a message.
     """
 
-    def __init__(self, vocabulary: Vocabulary) -> None:
+    def __init__(self, vocabulary: Vocabulary, max_body: int = sys.maxsize) -> None:
         self._vocabulary = vocabulary
+        self._max_body = max_body
         self._buffer = b""
         self._at = 0  # offset of the first byte in it that is still needed
         self._later: list[bytes] = []  # received after the buffer, and not needed yet
@@ -142,53 +149,56 @@ class Decoder:
             raise RemoteProtocolError(self._error)
         if self.buffered < self._needed and not self._overhang:
             return None
-        try:
-            return self._next()
+        try:  # all in one function: three frames a step come here, and each call costs 0.1 microseconds
+            if self._later:
+                self._buffer, self._at = b"".join((self._buffer[self._at :], *self._later)), 0
+                self._later.clear()
+            if self._overhang:
+                self._take_overhang()
+                if self.buffered < _HEADER.size:
+                    return None
+            kind, size = _HEADER.unpack_from(self._buffer, self._at)
+            layout = self._vocabulary.get(kind)
+            if layout is None:
+                raise RemoteProtocolError(_unknown(kind, self._vocabulary))
+            known, head, _, terminal, content, form, limit = layout
+            if size > limit:
+                raise RemoteProtocolError(
+                    f"a payload of at most {limit} bytes was expected for {known.name}; "
+                    f"its header announces {size}"
+                )
+            end = _HEADER.size + size
+            if self.buffered < end:
+                self._needed = end
+                return None
+            self._needed = _HEADER.size
+            if end == len(self._buffer):  # as it nearly always is: nothing need be copied
+                frame, self._buffer, self.buffered = self._buffer, b"", 0
+            else:
+                frame = self._take(end)
+            if end < head.size:
+                raise RemoteProtocolError(
+                    f"{known.name}: {too_short(head.size - _HEADER.size, frame[_HEADER.size :], 0)}"
+                )
+            scalars = head.unpack_from(frame)[:1:-1]
+            if terminal is not None:
+                scalars = (*scalars[:terminal], scalars[terminal] != 0, *scalars[terminal + 1 :])
+            try:
+                body, offset = form.read(frame, head.size)
+            except RemoteProtocolError as error:
+                raise RemoteProtocolError(f"{known.name}: {error}") from None
+            if content is Body.TEXT:
+                body = until_zero(body if offset < end else self._with_overhang(body))
+            if len(body) > self._max_body:
+                raise RemoteProtocolError(
+                    f"{known.name} has a body of {len(body)} bytes; this hub takes {self._max_body}"
+                )
         except RemoteProtocolError as error:
             self._error = str(error)
             self._buffer, self._at, self.buffered = b"", 0, 0
             self._later.clear()
             raise
-
-    def _next(self) -> Frame | None:
-        if self._later:
-            self._buffer, self._at = b"".join((self._buffer[self._at :], *self._later)), 0
-            self._later.clear()
-        if self._overhang:
-            self._take_overhang()
-            if self.buffered < _HEADER.size:
-                return None
-        kind, size = _HEADER.unpack_from(self._buffer, self._at)
-        layout = self._vocabulary.get(kind)
-        if layout is None:
-            raise RemoteProtocolError(_unknown(kind, self._vocabulary))
-        if size > layout.limit:
-            raise RemoteProtocolError(
-                f"a payload of at most {layout.limit} bytes was expected for {layout.kind.name}; "
-                f"its header announces {size}"
-            )
-        end = _HEADER.size + size
-        if self.buffered < end:
-            self._needed = end
-            return None
-        self._needed = _HEADER.size
-        frame = self._take(end)
-        head = layout.head
-        if end < head.size:
-            raise RemoteProtocolError(
-                f"{layout.kind.name}: {too_short(head.size - _HEADER.size, frame[_HEADER.size :], 0)}"
-            )
-        _, _, *values = head.unpack_from(frame)
-        try:
-            body, offset = layout.form.read(frame, head.size)
-        except RemoteProtocolError as error:
-            raise RemoteProtocolError(f"{layout.kind.name}: {error}") from None
-        if layout.body is Body.TEXT:
-            body = until_zero(body if offset < end else self._with_overhang(body))
-        values.reverse()
-        if layout.terminal is not None:
-            values[layout.terminal] = values[layout.terminal] != 0
-        return Frame(layout.kind, tuple(values), body)
+        return _frame(Frame, (known, scalars, body))
 
     def _take(self, size: int) -> bytes:
         """Return the next bytes, and drop them from the buffer."""
@@ -216,8 +226,8 @@ class Decoder:
         return overhang
 
 
-def encode(frame: Frame, vocabulary: Vocabulary) -> bytes:
-    """Return the bytes of `frame`.
+def encode(frame: Frame | tuple[Kind, tuple[Value, ...], bytes], vocabulary: Vocabulary) -> bytes:
+    """Return the bytes of `frame`; a plain tuple of its parts takes less time to make.
 
     Raises:
         LocalProtocolError: its kind is not in `vocabulary`, or a value does not fit the format or the
@@ -230,7 +240,7 @@ def encode(frame: Frame, vocabulary: Vocabulary) -> bytes:
     try:
         written = layout.form.write(body)
         head = layout.head
-        return head.pack(kind, head.size - _HEADER.size + len(written), *reversed(scalars)) + written
+        return head.pack(kind, head.size - _HEADER.size + len(written), *scalars[::-1]) + written
     except (struct.error, LocalProtocolError, RemoteProtocolError) as error:
         raise LocalProtocolError(f"{layout.kind.name} cannot be sent: {error}") from None
 

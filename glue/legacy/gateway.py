@@ -135,7 +135,7 @@ class _Handshake:
         self._pending = pending
         self._connection = connection
         self._port = port
-        self._decoder = Decoder(HANDSHAKE)
+        self._decoder = Decoder(HANDSHAKE, pending.hub.config.max_body)
         connection.owner = self
         pending.add(connection, self._time_out)
 

@@ -23,12 +23,7 @@ from glue.legacy.codec import (
     encode,
 )
 from glue.legacy.pending import Pending
-from glue.legacy.states import (
-    PLAYER,
-    PlayerEvent,
-    PlayerState,
-    after,
-)
+from glue.legacy.states import PLAYER, PlayerEvent, PlayerState
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 _BASE: Final = 8192
@@ -38,6 +33,16 @@ _CODEC: Final = "RL-Glue 3.x"
 
 _TO_PLAYER: Final[Mapping[Role, Vocabulary]] = {Role.AGENT: TO_AGENT, Role.ENVIRONMENT: TO_ENVIRONMENT}
 
+# Bound once: looking up a member of an enum takes longer than comparing with it.
+_IDLE: Final = PlayerState.IDLE
+_BUSY: Final = PlayerState.BUSY
+_GONE: Final = PlayerState.GONE
+_CALL: Final = PlayerEvent.CALL
+_ANSWER: Final = PlayerEvent.ANSWER
+
+_message: Final = tuple.__new__
+"""Constructor of a named tuple, at half the cost of calling its class."""
+
 
 class LegacyPeer:
     """An original program in its role; a route of the switchboard."""
@@ -46,6 +51,8 @@ class LegacyPeer:
         self, pending: Pending, connection: Connection, decoder: Decoder, role: Role, port: LegacyPort
     ) -> None:
         self._pending = pending
+        self._switchboard = pending.hub.switchboard
+        self._loop = pending.hub.loop
         self._connection = connection
         self._decoder = decoder
         self._role = role
@@ -77,8 +84,9 @@ class LegacyPeer:
         except Exception:
             # An error of this program's connection must not interrupt another program.
             connection.fail()
-            return False
-        self._weigh()
+            delivered = False
+        if not delivered or connection.unsent or self._held != _BASE:
+            self._weigh()
         return delivered
 
     def _take(self, message: Message) -> bool:
@@ -92,26 +100,29 @@ class LegacyPeer:
     @property
     def seated(self) -> bool:
         """Whether it takes part in a session."""
-        return self._pending.hub.switchboard.num_seats(self) > 0
+        return self._switchboard.num_seats(self) > 0
 
     def evict(self, why: str) -> None:
         """Drop the connection, which uses too much memory."""
         self._connection.reset()
-        self._pending.hub.switchboard.lose(self, f"was dropped: {why}", clock.monotonic())
+        self._switchboard.lose(self, f"was dropped: {why}", clock.monotonic())
 
     def failed(self, now: float) -> None:
         """Leave the session: the connection was reset after an error of the hub."""
-        self._pending.hub.switchboard.lose(self, "was dropped after an error of the hub", now)
+        self._switchboard.lose(self, "was dropped after an error of the hub", now)
 
     def _weigh(self) -> bool:
-        """Account for data not handled yet or not sent; return False once the connection has closed."""
+        """Account for data not handled yet or not sent; return False once the connection has closed.
+
+        Most messages leave nothing behind, and the account at `_BASE`: this is called only if one does.
+        """
         connection = self._connection
         held = 0
         if not connection.closed:
             held = _BASE + self._decoder.buffered + connection.unsent + self._kept()
         if held != self._held:
             self._held = held
-            self._pending.hub.switchboard.memory.hold(self, held)
+            self._switchboard.memory.hold(self, held)
         return not connection.closed
 
     def _kept(self) -> int:
@@ -121,62 +132,54 @@ class LegacyPeer:
     def ready(self, now: float) -> None:
         """Handle received data, and account for its memory."""
         self._work(now)
-        self._weigh()
-        self._pending.hub.switchboard.memory.relieve()
+        connection, memory = self._connection, self._switchboard.memory
+        if self._decoder.buffered or connection.unsent or connection.closed or self._held != _BASE:
+            self._weigh()
+        if memory.exceeded:
+            memory.relieve()
 
     def _work(self, now: float) -> None:
         """Receive and handle data."""
         raise NotImplementedError
 
-    def _next_frame(self) -> Frame | None:
-        """Return the next frame, or None until more bytes are received.
-
-        Raises:
-            RemoteProtocolError: the frame is malformed, not one of this role, or too long for this hub.
-        """
-        frame = self._decoder.next_event()
-        limit = self._pending.hub.config.max_body
-        if frame is not None and len(frame.body) > limit:
-            raise RemoteProtocolError(
-                f"{frame.kind.name} has a body of {len(frame.body)} bytes; this hub takes {limit}"
-            )
-        return frame
-
     def _send(self, message: Message, now: float) -> None:
-        self._pending.hub.switchboard.receive(self, message, now)
+        self._switchboard.receive(self, message, now)
 
 
 class LegacyPlayer(LegacyPeer):
     """An agent or environment, which answers calls."""
 
-    _state = PlayerState.IDLE
+    _state = _IDLE
 
-    _call: Message | None = None
-    """The call that the player was sent last."""
+    _seq = 0
+    """The sequence number of the call that the player was sent last."""
+
+    _asked: Kind | None = None
+    """The kind of that call; None once it is answered, and if it cannot be sent."""
 
     _next: Message | None = None
     """The call to send after its answer."""
 
-    _substitute: Message | None = None
+    _substitute: Frame | None = None
     """The answer to a call that is not sent, since it cannot be written in the player's format."""
 
     def _take(self, message: Message) -> bool:
-        if self._state is PlayerState.GONE:
+        state, kind = self._state, message[0]
+        if state is _GONE:
             return False
-        if message.kind in CALLS:
-            repeated = self._state is PlayerState.BUSY and self._call and message.seq == self._call.seq
-            if not repeated:
-                self._on(PlayerEvent.CALL)
-                if self._state is PlayerState.BUSY:
+        if kind in CALLS:
+            if state is not _BUSY or message[2] != self._seq:  # else the call under way is repeated
+                self._state = state = PLAYER[state][_CALL]
+                if state is _BUSY:
                     self._ask(message)
                 else:
                     self._next = message
-        elif message.kind is Kind.GOODBYE or message.kind is Kind.REFUSE:
+        elif kind is Kind.GOODBYE or kind is Kind.REFUSE:
             self._dismiss()
         return not self._connection.closed
 
     def _on(self, event: PlayerEvent) -> None:
-        self._state = after(PLAYER, self._state, event)
+        self._state = PLAYER[self._state][event]
 
     def _dismiss(self) -> None:
         self._on(PlayerEvent.DISMISSED)
@@ -191,58 +194,55 @@ class LegacyPlayer(LegacyPeer):
         self._pending.terminate(self._connection)
 
     def _ask(self, call: Message) -> None:
-        self._call = call._replace(body=b"")  # the session keeps it as long as it is needed
+        kind, _, self._seq, scalars, body = call
         try:
-            frame = encode(Frame(call.kind, call.scalars, call.body), _TO_PLAYER[self._role])
+            data = encode((kind, scalars, body), _TO_PLAYER[self._role])
         except LocalProtocolError as error:
-            scalars = (str(ErrorCode.EXCEPTION), str(error))
-            self._substitute = Message(Kind.ERROR, self._session, call.seq, scalars)
+            self._substitute = Frame(Kind.ERROR, (str(ErrorCode.EXCEPTION), str(error)))
             self._connection.later()
         else:
-            self._connection.send(frame)
-            self._pending.hub.loop.expect(self._connection)
+            self._asked = kind
+            self._connection.send(data)
+            self._loop.expect(self._connection)
 
     def _work(self, now: float) -> None:
-        connection, switchboard = self._connection, self._pending.hub.switchboard
+        connection, decoder = self._connection, self._decoder
         if self._substitute is not None:
             substitute, self._substitute = self._substitute, None
             self._finish_call(substitute, now)
         data = connection.receive()
         if data:
-            self._decoder.receive_data(data)
+            decoder.receive_data(data)
         try:
-            while self._state is not PlayerState.GONE and (frame := self._next_frame()) is not None:
-                self._finish_call(self._answer(frame), now)
+            while decoder.buffered and self._state is not _GONE:
+                answer = decoder.next_event()
+                if answer is None:
+                    break
+                if answer[0] is not self._asked:
+                    asked = "nothing" if self._asked is None else self._asked.name
+                    raise RemoteProtocolError(f"received {answer.kind.name}; {asked} was asked")
+                self._finish_call(answer, now)
         except RemoteProtocolError as error:
             self._on(PlayerEvent.LOST)
-            switchboard.malformed(self, error, now)
+            self._switchboard.malformed(self, error, now)
             self._pending.terminate(connection)
             return
-        if data == b"" and self._state is not PlayerState.GONE:
+        if data == b"" and self._state is not _GONE:
             self._on(PlayerEvent.LOST)
             connection.close()
-            switchboard.lose(self, "closed its connection", now)
+            self._switchboard.lose(self, "closed its connection", now)
 
-    def _answer(self, frame: Frame) -> Message:
-        """Return `frame` as the answer to the call.
-
-        Raises:
-            RemoteProtocolError: `frame` does not answer the call.
-        """
-        call = self._call
-        if call is None or self._substitute or PlayerEvent.ANSWER not in PLAYER[self._state]:
-            raise RemoteProtocolError(f"received {frame.kind.name}; nothing was asked")
-        if frame.kind is not call.kind:
-            raise RemoteProtocolError(f"received {frame.kind.name}; {call.kind.name} was asked")
-        return Message(call.kind, self._session, call.seq, frame.scalars, frame.body)
-
-    def _finish_call(self, answer: Message, now: float) -> None:
-        self._on(PlayerEvent.ANSWER)
-        match self._state:
-            case PlayerState.IDLE:
-                self._send(answer, now)
-            case PlayerState.BUSY:
-                assert self._next is not None
-                self._ask(self._next)
-            case PlayerState.GONE:
-                self._pending.terminate(self._connection)
+    def _finish_call(self, answer: Frame, now: float) -> None:
+        """Act on the answer to the call, which is of its kind, or an error in its place."""
+        self._asked = None
+        self._state = state = PLAYER[self._state][_ANSWER]
+        if state is _IDLE:
+            kind, scalars, body = answer
+            message = _message(Message, (kind, self._session, self._seq, scalars, body))
+            self._switchboard.receive(self, message, now)
+        elif state is _BUSY:
+            call, self._next = self._next, None  # the session keeps it as long as it is needed
+            assert call is not None
+            self._ask(call)
+        else:
+            self._pending.terminate(self._connection)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum, auto
-from typing import Final, TypeVar
+from typing import Final
 
 
 class PlayerState(IntEnum):
@@ -183,15 +183,3 @@ SENDING: Final[Mapping[Sending, Mapping[SendingEvent, Sending]]] = {
     },
     Sending.OVER: {},
 }
-
-State = TypeVar("State")
-Event = TypeVar("Event")
-
-
-def after(table: Mapping[State, Mapping[Event, State]], state: State, event: Event) -> State:
-    """Return the state after `event` in `state`.
-
-    Raises:
-        KeyError: `event` is impossible in `state`; check `event in table[state]` if a peer can cause it.
-    """
-    return table[state][event]

@@ -69,16 +69,6 @@ def test_an_update_is_shared_out_equally_among_the_features() -> None:
     assert values_of(table) == {5: pytest.approx(1.75), 9: pytest.approx(2.75)}
 
 
-def test_the_sum_of_shared_updates_is_the_mean_of_equal_ones() -> None:
-    """Experiment 2's mean of equally updated values is the same function as this sum."""
-    table = empty()
-    mean = np.zeros(3)
-    for target in (4.0, -1.0, 2.5):
-        update(learner(), table, taken(1, 2, 3), target)
-        mean += 0.3 * (target - mean.mean())
-    assert sum_of_values(table, keys_of(1, 2, 3), 3) == pytest.approx(mean.mean())
-
-
 def test_nothing_taken_nothing_learned() -> None:
     table = empty()
     update(learner(), table, taken(), 10.0)

@@ -5,38 +5,21 @@ from __future__ import annotations
 import os
 import re
 import subprocess
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import IO, Final
 
 from env_server.toys import SkeletonEnvironment
-from glue import serve_agent, serve_environment
-from glue.engine.experiment import Experiment
 from glue.engine.local import local
-from glue.hub.config import HubConfig
-from glue.hub.io.server import Hub
-from glue.roles import Agent, Environment
 from tests.clients.random_agent import RandomAgent
 
 SECONDS: Final = 120.0
 """Timeout in seconds: longer than anything here takes, unless it hangs."""
 
-MAX_STEPS: Final = 300
-
 _EPISODE: Final = re.compile(r"episode (\d+): return (\S+), (\d+) steps")
 
 Episode = tuple[float, int]
 """Return and steps."""
-
-
-@contextmanager
-def hub(bind: str = "tcp://127.0.0.1:*") -> Iterator[str]:
-    """Run a hub; yield its URL."""
-    made = Hub(HubConfig(bind=(bind,)))
-    with made.in_background():
-        yield made.endpoints[0]
-        made.stop("the test is over")
 
 
 @contextmanager
@@ -56,22 +39,6 @@ def program(
             yield process
         finally:
             process.kill()
-
-
-@contextmanager
-def serving(player: Agent | Environment, url: str, session: str = "default") -> Iterator[None]:
-    """Serve a player of ours in a thread, which ends with the hub."""
-    serve = serve_agent if hasattr(player, "agent_init") else serve_environment
-    thread = threading.Thread(target=serve, args=(player, url, session), daemon=True)
-    thread.start()
-    yield
-
-
-def play(glue: Experiment, seed: int) -> Episode:
-    """Play one episode, which depends on nothing but the seed."""
-    glue.rl_init(seed)
-    glue.rl_episode(MAX_STEPS)
-    return glue.rl_return(), glue.rl_num_steps()
 
 
 def walked(episodes: int, seed: int) -> list[Episode]:

@@ -17,7 +17,8 @@ from glue.hub.config import Bind, HubConfig
 from glue.hub.io.server import Hub
 from glue.keys.allowed import read_keys
 from tests.clients.languages import CPP, run
-from tests.clients.table import SECONDS, hub, program, read_episodes, walked
+from tests.clients.table import SECONDS, program, read_episodes, walked
+from tests.hubs import hub_with
 from tests.keyed import KeyFolder
 from tests.system.proxy import Proxy
 
@@ -106,5 +107,5 @@ def test_who_does_not_get_in_is_told_why(keyed: Keyed) -> None:
         assert "does not know this key" in refused(url, **keyed.variables("stranger"))
         assert "set GLUE_KEY and GLUE_HUB_KEY" in refused(url)
         assert "GLUE_KEY needs GLUE_HUB_KEY" in refused(url, GLUE_KEY=str(keyed.secrets["agent"]))
-    with hub() as url:
+    with hub_with() as url:
         assert "unset GLUE_KEY and GLUE_HUB_KEY" in refused(url, **keyed.variables("agent"))

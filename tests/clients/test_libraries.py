@@ -18,7 +18,8 @@ from env_server.toys import SkeletonEnvironment
 from glue import connect
 from glue.wire.messages import THREE_ROLES, Role
 from tests.clients.languages import CLIENTS, CPP, JAVASCRIPT, LANGUAGES, RUST, Language, run
-from tests.clients.table import SECONDS, hub, program, serving
+from tests.clients.table import SECONDS, program
+from tests.hubs import hub_with
 from tests.pages import DOCS, blocks
 
 CONFORM: Final = (sys.executable, "-c", "from glue_rl.commands import conform; conform()")
@@ -40,15 +41,7 @@ def test_own_tests_pass_and_documentation_is_whole(language: Language) -> None:
 
 @pytest.mark.parametrize("role", THREE_ROLES)
 def test_kit_finds_no_fault(language: Language, role: Role) -> None:
-    mirror = language.programs["mirror"]
-    done = subprocess.run(
-        [*CONFORM, role, "--wait", "20", "--", *mirror, role],
-        capture_output=True,
-        text=True,
-        timeout=KIT_SECONDS,
-    )
-
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = judged(role, "--wait", "20", "--", *language.programs["mirror"], role)
     lines = done.stdout.splitlines()
     unjudged = [before for before, line in pairwise(lines) if line.strip().startswith("not judged")]
     # Players have all capabilities except `batch`; experiments ask for the return and the number of steps.
@@ -58,15 +51,15 @@ def test_kit_finds_no_fault(language: Language, role: Role) -> None:
 
 @pytest.mark.parametrize("role", THREE_ROLES)
 def test_scripts_of_random_faults_find_none(language: Language, role: Role) -> None:
-    mirror = language.programs["mirror"]
-    done = subprocess.run(
-        [*CONFORM, role, "--seeds", "6", "--transport", "tcp", "--wait", "20", "--", *mirror, role],
-        capture_output=True,
-        text=True,
-        timeout=KIT_SECONDS,
-    )
+    how = ("--seeds", "6", "--transport", "tcp", "--wait", "20")
+    assert judged(role, *how, "--", *language.programs["mirror"], role).stdout == "survives (6 passed)\n"
 
-    assert (done.returncode, done.stdout) == (0, "survives (6 passed)\n"), done.stdout + done.stderr
+
+def judged(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Return what the kit says of a client that keeps the rules."""
+    done = subprocess.run([*CONFORM, *arguments], capture_output=True, text=True, timeout=KIT_SECONDS)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
 
 
 FIRST: Final = {
@@ -139,24 +132,18 @@ def test_first_agent_in_python_walks(tmp_path: Path) -> None:
 
 def walks(start: Sequence[str]) -> None:
     """Check that an agent walks to the end, reports a refusal, and passes the kit, SHOULDs included."""
-    with hub() as url, program(start, url), connect(url) as glue:
+    with hub_with() as url, program(start, url), connect(url) as glue:
         glue.rl_agent_message("are you there?")
         second = subprocess.run(
             start, env={**os.environ, "GLUE_HUB": url}, capture_output=True, text=True, timeout=SECONDS
         )
         assert second.returncode == 1
         assert "already has an agent" in second.stdout + second.stderr
-    kit = subprocess.run(
-        [*CONFORM, "agent", "--transport", "tcp", "--wait", "20", "--", *start],
-        capture_output=True,
-        text=True,
-    )
-    assert kit.returncode == 0, kit.stdout
+    kit = judged("agent", "--transport", "tcp", "--wait", "20", "--", *start)
     assert "should" not in {line.partition(" ")[0] for line in kit.stdout.splitlines()}, kit.stdout
     assert "plays, as far as can be told without the mirror" in kit.stdout.splitlines()[-1]
     with (
-        hub() as url,
-        serving(SkeletonEnvironment(), url),
+        hub_with(SkeletonEnvironment()) as url,
         program(start, url),
         connect(url) as glue,
     ):
@@ -196,7 +183,7 @@ def test_fresh_project_installs_the_tarball_and_checks_its_types(tmp_path: Path)
     strict = ["--strict", "--target", "es2022", "--module", "nodenext", "--types", "node"]
     run(["npx", "tsc", *strict, "agent.ts"], tmp_path)
     run(["npx", "tsc", "--project", str(copy_of_sources(tmp_path))], tmp_path)
-    with hub() as url, program(["node", str(tmp_path / "agent.js")], url) as process:
+    with hub_with() as url, program(["node", str(tmp_path / "agent.js")], url) as process:
         run([*JAVASCRIPT.programs["mirror"][:1], "-e", JOIN], tmp_path, GLUE_HUB=url)
         assert process.poll() is None
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 from tests.clients.languages import LANGUAGES, PYTHON
-from tests.clients.table import SECONDS, hub, program, read_episodes, walked
+from tests.clients.table import SECONDS, program, read_episodes, walked
+from tests.hubs import hub_with
 
 EPISODES = 10
 SEED = 3
@@ -20,7 +21,7 @@ def test_every_combination_of_languages_plays_the_same_episodes() -> None:
     arguments = (str(EPISODES), str(SEED))
     for agent in ALL:
         with ExitStack() as stack:
-            url = stack.enter_context(hub())
+            url = stack.enter_context(hub_with())
             for environment in ALL:
                 session = f"{agent.name} and {environment.name}"
                 stack.enter_context(program(agent.programs["random"], url, session))

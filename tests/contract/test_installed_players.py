@@ -62,11 +62,6 @@ def can_play(agent: str, environment: str) -> bool:
     return True
 
 
-def test_those_known_by_name_are_installed() -> None:
-    assert {"mario", "mines", "skeleton"} <= set(ENVIRONMENTS)
-    assert {"best", "hierarchical", "random", "sample", "sarsa", "skeleton", "tiles"} <= set(AGENTS)
-
-
 @pytest.mark.parametrize("role", [Role.AGENT, Role.ENVIRONMENT])
 def test_every_option_is_explained(role: Role) -> None:
     for name in installed(role):

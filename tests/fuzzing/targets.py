@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from glue.errors import GlueError
-from glue.legacy.codec import Decoder as LegacyDecoder
+from glue.legacy import codec as codec_of_originals
 from glue.taskspec import parse_task_spec
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
@@ -90,23 +90,11 @@ def curve(data: bytes) -> None:
         return
 
 
-@cache
-def _vocabularies() -> tuple[object, ...]:
-    from glue.legacy import codec as legacy
-
-    return tuple(
-        value
-        for value in vars(legacy).values()
-        if isinstance(value, Mapping)
-        and value
-        and all(isinstance(layout, legacy.Layout) for layout in value.values())
-    )
-
-
 def legacy(data: bytes) -> None:
     """Read what an original RL-Glue program might send."""
-    for vocabulary in _vocabularies():
-        decoder = LegacyDecoder(vocabulary)  # type: ignore[arg-type]
+    players = (codec_of_originals.FROM_AGENT, codec_of_originals.FROM_ENVIRONMENT)
+    for vocabulary in (codec_of_originals.HANDSHAKE, codec_of_originals.FROM_EXPERIMENT, *players):
+        decoder = codec_of_originals.Decoder(vocabulary)
         try:
             for piece in _pieces(data):
                 decoder.receive_data(piece)

@@ -8,9 +8,6 @@ import sys
 import pytest
 
 import glue
-from agents.tabular import SarsaAgent
-from env_server.toys import MinesEnvironment
-from glue.errors import ConfigError
 
 
 @pytest.mark.parametrize("name", glue.__all__)
@@ -25,15 +22,6 @@ def test_import_of_glue_imports_nothing_slow() -> None:
     )
     shown = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert shown.stdout == "\n"
-
-
-def test_make_returns_players_with_checked_options() -> None:
-    assert isinstance(glue.make("mines", random_start=True), MinesEnvironment)
-    assert isinstance(glue.make_agent("sarsa", epsilon=0.2), SarsaAgent)
-    with pytest.raises(ConfigError, match=r"did you mean mines\?"):
-        glue.make("minez")
-    with pytest.raises(ConfigError, match=r"did you mean epsilon\?"):
-        glue.make_agent("sarsa", epsilom=0.2)
 
 
 def test_unknown_name_is_an_attribute_error() -> None:

@@ -73,12 +73,6 @@ def test_nothing_shorter_or_longer_is_believed() -> None:
         unpack(data + b"\0", "tiles", SETTINGS)
 
 
-@given(st.binary(max_size=200))
-def test_random_bytes_are_refused(data: bytes) -> None:
-    with pytest.raises(SaveError):
-        unpack(data, "tiles", SETTINGS)
-
-
 @pytest.mark.parametrize(
     ("data", "message"),
     [

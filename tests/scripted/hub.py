@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any, Final
 
 import zmq
@@ -27,8 +26,13 @@ class ScriptedHub:
 
     def __init__(self, url: str = "tcp://127.0.0.1:*") -> None:
         self._context: Context = zmq.Context()
-        self.url = url
-        self.start()
+        self._socket = self._context.socket(zmq.ROUTER)
+        self._socket.setsockopt(zmq.RCVTIMEO, int(_TIMEOUT * 1000))
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.ROUTER_MANDATORY, 1)
+        self._socket.bind(url)
+        self.url = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
+        self.route = b""
 
     def __enter__(self) -> ScriptedHub:
         return self
@@ -36,30 +40,9 @@ class ScriptedHub:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def start(self) -> None:
-        """Listen; after `stop`, at the same address, as a new hub."""
-        self._socket = self._context.socket(zmq.ROUTER)
-        self._socket.setsockopt(zmq.RCVTIMEO, int(_TIMEOUT * 1000))
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.ROUTER_MANDATORY, 1)
-        deadline = time.monotonic() + _TIMEOUT
-        while True:
-            try:
-                self._socket.bind(self.url)
-                break
-            except zmq.ZMQError:  # libzmq has not closed the previous socket yet
-                assert time.monotonic() < deadline
-                time.sleep(0.01)
-        self.url = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
-        self.route = b""
-
-    def stop(self) -> None:
-        """End every connection without a goodbye."""
-        self._socket.close()
-
     def close(self) -> None:
-        """Stop, and free everything."""
-        self.stop()
+        """End every connection without a goodbye, and free everything."""
+        self._socket.close()
         self._context.term()
 
     # Frames

@@ -54,18 +54,6 @@ def recorded() -> Iterator[Event]:
         yield Event(role, direction == "sent", [bytes.fromhex(frame) for frame in frames])
 
 
-def test_the_recording_has_every_call_of_an_experiment_without_saves() -> None:
-    kinds = {Kind(event.kind) for event in recorded()}
-    assert {kind for kind in Kind if kind not in kinds} == {
-        Kind.REFUSE,
-        Kind.HEARTBEAT,
-        Kind.ERROR,
-        *(kind for kind in Kind if kind.name.endswith(("_SAVE", "_LOAD"))),
-        # The first version had neither observers nor metrics.
-        *(kind for kind in Kind if kind.name.startswith("OBSERVE") or kind.name.endswith("_METRICS")),
-    }
-
-
 def received(end: ScriptedPeer | ScriptedHub) -> list[bytes]:
     """Return the frames of the next message that is not a heartbeat."""
     while header(frames := end.receive_frames())[0] == Kind.HEARTBEAT:

@@ -5,20 +5,18 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import pytest
 import zmq
 
 from env_server.toys import SkeletonEnvironment
-from glue.client import experiment
-from glue.client.experiment import RemoteExperiment
+from glue.client.experiment import RemoteExperiment, connect
 from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
 from glue.engine.experiment import Experiment
@@ -33,52 +31,16 @@ from tests.proof import size
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import address, main, running
 from tests.system.proxy import Proxy
-from tests.system.wires.router_hub import router_hub
-
-pytestmark = pytest.mark.proof
 
 EPISODES = 4
 HEARTBEAT = 0.1
 
 
-class Ends(NamedTuple):
-    """Whether peers in threads and in processes connect by libzmq's DEALER instead of a plain socket."""
-
-    threads: bool
-    processes: bool
-
-
-_ends = Ends(threads=True, processes=False)
-
-
-@pytest.fixture(
-    autouse=True,
-    params=size([Ends(True, False)], [Ends(True, False), Ends(False, False), Ends(True, True)]),
-    ids=lambda ends: f"libzmq: {[name for name, there in ends._asdict().items() if there]}",
-)
-def ends(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ends:
-    """Return the kinds of connections of the peers of a test."""
-    chosen: Ends = request.param
-    monkeypatch.setattr(sys.modules[__name__], "_ends", chosen)
-    return chosen
-
-
-@contextmanager
-def connect(hub: str, **named: Any) -> Iterator[RemoteExperiment]:
-    """Connect an experiment that logs nothing."""
-    with ExitStack() as ending:
-        context: Context | None = None
-        if _ends.threads and _ends.processes:
-            context = zmq.Context()
-            ending.callback(context.destroy, 0)
-        yield ending.enter_context(experiment.connect(hub, **named, context=context))
-
-
 @contextmanager
 def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
-    """Serve an agent or environment in a thread; the hub must end before this does."""
+    """Serve an agent or environment in a thread, over libzmq's DEALER; the hub must end before this does."""
     serve = serve_agent if hasattr(player, "agent_init") else serve_environment
-    context: Context | None = zmq.Context() if _ends.threads else None
+    context: Context = zmq.Context()
 
     def program() -> None:
         serve(player, hub, session, context=context)
@@ -89,8 +51,7 @@ def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
         yield
     finally:
         thread.join(TIMEOUT)
-        if context is not None:
-            context.destroy(linger=0)
+        context.destroy(linger=0)
         assert not thread.is_alive()
 
 
@@ -103,7 +64,7 @@ class Processes:
     """Players in processes of their own, any number one after another."""
 
     def __init__(self, hub: str, role: str, player: str) -> None:
-        self._arguments = (role, hub, player, "libzmq" if _ends.processes else "plain")
+        self._arguments = (role, hub, player)
         self._started: list[Recorded] = []
 
     def __enter__(self) -> Processes:
@@ -264,11 +225,12 @@ def chain(glue: Experiment, episodes: int) -> list[float]:
     return [*returns, float(glue.rl_agent_message("?")), float(glue.rl_env_message("?"))]
 
 
+@pytest.mark.proof
 @pytest.mark.stage("proof")
 @pytest.mark.timeout(1200)
 def test_runs_over_connections_that_break_again_and_again_have_the_same_returns() -> None:
     # Most of the time of a cut is a wait, so that several runs take no longer than one.
-    runs, cuts = size((1, 100), (8, 3_400))  # in all, 10,000 over the three ends
+    runs, cuts = size((1, 100), (8, 10_000))
     with ThreadPoolExecutor(runs) as pool:
         list(pool.map(lambda seed: play_over_cuts(cuts // runs, seed), range(1, runs + 1)))
 
@@ -288,21 +250,6 @@ def play_over_cuts(cuts: int, seed: int) -> None:
         ):
             assert chain(glue, episodes) == expected
             assert proxy.finished.is_set(), "all cuts were made"
-
-
-@pytest.mark.stage("proof")
-@pytest.mark.parametrize("cuts", [0, 20])
-def test_a_run_at_a_hub_of_libzmq_has_the_same_returns(cuts: int) -> None:
-    episodes = 15
-    expected = chain(local(ChainAgent(), ChainEnvironment()), episodes)
-    with ExitStack() as stack:
-        url = stack.enter_context(router_hub())
-        proxy = stack.enter_context(Proxy(int(url.rpartition(":")[2]), cuts, seed=3).in_background())
-        stack.enter_context(Processes(proxy.url, "agent", "tests.players:ChainAgent"))
-        stack.enter_context(Processes(proxy.url, "environment", "tests.players:ChainEnvironment"))
-        with connect(proxy.url) as glue:
-            assert chain(glue, episodes) == expected
-            assert proxy.finished.is_set() == bool(cuts)
 
 
 HUB = "from glue.cli.hub import main; main()"
@@ -376,36 +323,3 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
         with pytest.raises(PeerLost, match=r"the agent skeleton left: interrupted"):
             play_on(glue)
         assert process.wait(TIMEOUT) == code
-
-
-def test_a_slow_session_delays_no_other() -> None:
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0, greeting=60.0))
-    release = threading.Event()
-    waits = threading.Event()
-
-    def wait(call: str) -> None:
-        if call == "env_start":
-            waits.set()
-            assert release.wait(TIMEOUT)
-
-    with hub.in_background(), ExitStack() as ending:
-        (url,) = hub.endpoints
-        for session, environment in (
-            ("slow", ScriptedEnvironment(before=wait)),
-            ("fast", ScriptedEnvironment()),
-        ):
-            ending.enter_context(serving(url, environment, session))
-            ending.enter_context(serving(url, ScriptedAgent(), session))
-        ending.callback(hub.stop, "over")
-        slow = ending.enter_context(connect(url, session="slow"))
-        fast = ending.enter_context(connect(url, session="fast"))
-        results: list[bool] = []
-        thread = threading.Thread(target=lambda: results.append(slow.rl_episode()))
-        thread.start()
-        assert waits.wait(TIMEOUT)
-        for _ in range(50):
-            assert fast.rl_episode()
-        assert not results
-        release.set()
-        thread.join(TIMEOUT)
-        assert results == [True]

@@ -68,22 +68,6 @@ def test_lost_worker_is_replaced_and_no_episode_comes_twice(cluster: str, tmp_pa
         assert lost[0].startswith("its Ray worker was lost: ")
 
 
-def test_trial_that_fails_is_recorded(cluster: str, tmp_path: Path) -> None:
-    (tmp_path / "faulty.py").write_text(FAULTY)
-    plan = (
-        *MINES,
-        "--agent",
-        f"{tmp_path}/faulty.py:Faulty",
-        "--agent-option",
-        "how=raise",
-        "--episodes",
-        12,
-    )
-    done = run(*plan, "--in-process", "--engine", "ray", "--address", cluster, "--out", "run", cwd=tmp_path)
-    assert done.returncode == 1, done.stderr
-    assert "Error: agent Faulty raised in agent_start: ValueError: a mistake" in done.stderr
-
-
 def test_search_comes_to_the_choice_of_workers(cluster: str, tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(SEARCH)
     plan = ("--plan", "plan.toml", "--in-process")

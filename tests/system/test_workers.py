@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import signal
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.store.results import Results
-from tests.system.runs import COMMAND, SLOW_AGENT, Contents, alive, children, contents, run, wait_until
+from tests.system.runs import SLOW_AGENT, Contents, alive, children, contents, run, wait_until
 from tests.terminal import Terminal
 
 FAULTY = '''
@@ -243,36 +241,6 @@ def test_interrupted_run_leaves_nobody_and_goes_on(
     assert contents(slowed / "run") == undisturbed
 
 
-def test_second_run_into_a_directory_is_refused(tmp_path: Path) -> None:
-    plan = (*SARSA, "--episodes", 100_000, "--workers", 1, "--in-process")
-    with running(*plan, cwd=tmp_path) as first:
-        second = run(*plan, "--json", "--out", "run", cwd=tmp_path)
-        assert (second.returncode, second.stdout) == (1, "")
-        assert second.stderr.startswith(f"Error: run is in use by process {first.process.pid} on ")
-        first.send_signal(signal.SIGTERM)
-        first.end()
-
-
-@pytest.mark.parametrize("workers", [("--workers", "1")])
-def test_file_that_may_not_grow_ends_the_run_and_what_was_stored_is_readable(
-    tmp_path: Path, workers: tuple[str, ...]
-) -> None:
-    """A file size limit stands in for a full disk on every machine."""
-    command = [*COMMAND, *map(str, SARSA), "--episodes", "100000", "--in-process", "--json", "--out", "run"]
-    limited = ["sh", "-c", 'ulimit -f 400; exec "$@"', "sh", *command, *workers]
-    done = subprocess.run(limited, cwd=tmp_path, capture_output=True, text=True, timeout=100)
-    assert done.returncode == 1
-    last = json.loads(done.stdout.splitlines()[-1])["episode"]
-    assert re.search(
-        rf"Error: episode {last + 1} of sarsa/mines/0 is not recorded(, nor are \d+ after it)?: "
-        "disk I/O error; the episodes before it are. Solve that, and resume the run in run \\(--resume\\)\n",
-        done.stderr,
-    )
-    assert "Traceback" not in done.stderr
-    [(episodes, _)] = contents(tmp_path / "run").values()
-    assert [episode[0] for episode in episodes] == list(range(1, last + 1))
-
-
 def test_players_do_not_outlive_a_killed_experiment(tmp_path: Path) -> None:
     with running(*SARSA, "--episodes", 100_000, cwd=tmp_path) as terminal:
         players = children(terminal.process.pid)
@@ -280,23 +248,3 @@ def test_players_do_not_outlive_a_killed_experiment(tmp_path: Path) -> None:
         terminal.send_signal(signal.SIGKILL)
         terminal.end()
     wait_until(lambda: not any(map(alive, players)), "the end of the players")
-
-
-def test_hub_that_stays_serves_one_trial_after_another(tmp_path: Path) -> None:
-    """A player from outside takes part in all of them."""
-    url = "ipc://meeting"
-    outside = [
-        Terminal(*command.split(), cwd=tmp_path)
-        for command in (f"glue-hub --bind {url}", f"glue-agent sarsa --hub {url}")
-    ]
-    try:
-        plan = (*MINES, "--episodes", 20, "--trials", 2)
-        done = run(*plan, "--hub", url, "--out", "hub", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        assert alive(outside[1].process.pid)
-    finally:
-        for terminal in outside:
-            terminal.close()
-    [(first, _), (second, _)] = contents(tmp_path / "hub").values()
-    assert len(first) == len(second) == 20
-    assert first != second  # each with a seed of its own

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agents.mario.best import BestAgent
 from agents.mario.observation import CHARS, MAX_SPRITES, Screen, read
 from agents.mario.sample import SampleAgent
 from agents.mohan2010.hierarchical import HierarchicalAgent
@@ -88,8 +90,11 @@ def test_whatever_fills_the_layout_an_agent_acts_or_refuses(
             assert not all(abs(number) < 2.0**31 for number in doubles)
 
 
-def test_an_observation_of_another_task_is_refused_with_what_came(task_spec: str) -> None:
-    agent = HierarchicalAgent()
+@pytest.mark.parametrize("kind", [BestAgent, HierarchicalAgent, SampleAgent])
+def test_an_observation_of_another_task_is_refused_with_what_came(
+    kind: Callable[[], Agent], task_spec: str
+) -> None:
+    agent = kind()
     agent.agent_init(task_spec)
     with pytest.raises(RemoteProtocolError, match="1 ints, 0 doubles and 0 chars"):
         agent.agent_start(Observation([7]))

@@ -10,7 +10,6 @@ import pytest
 from agents.mario.actions import ACTIONS, LEFT, action_number
 from agents.mario.best import BestAgent
 from env_server.mario.environment import InfiniteMario
-from glue.errors import RemoteProtocolError
 from glue.roles import Environment
 from glue.saves import unpack
 from glue.types import Action, Observation
@@ -246,24 +245,6 @@ def test_without_learning_the_best_episode_is_repeated_and_nothing_changes() -> 
     environment.env_init()
     assert play(watched, environment, 1)[1] == [max(returns)]
     assert memory(watched) == memory(agent)
-
-
-@pytest.mark.parametrize(
-    "observation",
-    [
-        Observation(),
-        Observation([0, 0, 0], [1.0, 2.0, 0.0, 0.0], b" " * 351),
-        Observation([0, 0], [1.0, 2.0, 0.0, 0.0], b" " * 352),
-        Observation([0], [], b" " * 352),
-        Observation([0, 0, 0], [float("nan"), 2.0, 0.0, 0.0], b" " * 352),
-        Observation([0, 0, 0], [1.0, 2.0**31, 0.0, 0.0], b" " * 352),
-    ],
-)
-def test_another_tasks_observation_is_refused(task_spec: str, observation: Observation) -> None:
-    agent = BestAgent()
-    agent.agent_init(task_spec)
-    with pytest.raises(RemoteProtocolError, match="is the environment Mario"):
-        agent.agent_start(observation)
 
 
 def test_messages_are_answered(task_spec: str) -> None:

@@ -71,32 +71,26 @@ def test_positions_are_rounded_towards_zero(draw: Draw, watch: type[Watcher]) ->
 
 
 @pytest.mark.parametrize(
-    ("threats", "dx", "dy", "related"),
-    [
-        (THREATS_2010, -3.0, 0.0, True),
-        (THREATS_2010, -3.5, 0.0, False),
-        (THREATS_2010, 3.5, 0.0, True),
-        (THREATS_2010, 4.0, 0.0, False),
-        (THREATS_2010, 0.0, -6.0, True),
-        (THREATS_2010, 0.0, -6.5, False),
-        (THREATS_2010, 0.0, 4.5, True),
-        (THREATS_2010, 0.0, 5.0, False),
-        (THREATS_2012, -4.0, 0.0, True),
-        (THREATS_2012, -4.5, 0.0, False),
-        (THREATS_2012, 5.5, 0.0, True),
-        (THREATS_2012, 6.0, 0.0, False),
-        (THREATS_2012, 0.0, -2.0, True),
-        (THREATS_2012, 0.0, -2.5, False),
-        (THREATS_2012, 0.0, 4.5, True),
-        (THREATS_2012, 0.0, 5.0, False),
-    ],
+    ("threats", "left", "right", "below", "above"),
+    [(THREATS_2010, -3.0, 3.5, -6.0, 4.5), (THREATS_2012, -4.0, 5.5, -2.0, 4.5)],
 )
 def test_a_monster_is_a_threat_within_a_window(
-    draw: Draw, watch: type[Watcher], threats: tuple[int, int, int, int], dx: float, dy: float, related: bool
+    draw: Draw,
+    watch: type[Watcher],
+    threats: tuple[int, int, int, int],
+    left: float,
+    right: float,
+    below: float,
+    above: float,
 ) -> None:
-    screen = draw(at=(8.0, 8.0), monsters=[(GOOMBA, 8.0 + dx, 8.0 + dy, 0.0, 0.0)])
-    (seen,) = monsters(watch(threats=threats)(screen))
-    assert bool(seen.related) is related
+    def is_threat(dx: float, dy: float) -> bool:
+        screen = draw(at=(8.0, 8.0), monsters=[(GOOMBA, 8.0 + dx, 8.0 + dy, 0.0, 0.0)])
+        (seen,) = monsters(watch(threats=threats)(screen))
+        return bool(seen.related)
+
+    at_the_edge = [(left, 0.0), (right, 0.0), (0.0, below), (0.0, above)]
+    beyond = [(left - 0.5, 0.0), (right + 0.5, 0.0), (0.0, below - 0.5), (0.0, above + 0.5)]
+    assert [is_threat(*place) for place in (*at_the_edge, *beyond)] == [True] * 4 + [False] * 4
 
 
 def test_items_are_monsters_and_fireballs_are_no_threat(draw: Draw, watch: type[Watcher]) -> None:
@@ -189,16 +183,13 @@ def everywhere(mark: str) -> list[str]:
     return [full] * 7 + [mark * 10 + "M" + mark * 10] + [full] * 8
 
 
-def test_a_coin_is_reachable_one_column_and_three_rows_away_and_never_below(
-    draw: Draw, watch: type[Watcher]
+@pytest.mark.parametrize(("mark", "kind", "columns"), [("$", A_COIN, 1), ("?", A_QUESTION, 2)])
+def test_a_tile_is_reachable_some_columns_and_three_rows_away_and_never_below(
+    draw: Draw, watch: type[Watcher], mark: str, kind: int, columns: int
 ) -> None:
-    seen = tiles_of(watch()(draw(*everywhere("$"))), A_COIN)
-    assert seen == sorted((dx, dy) for dx in (-1, 0, 1) for dy in (0, 1, 2, 3) if (dx, dy) != (0, 0))
-
-
-def test_a_question_is_reachable_two_columns_and_three_rows_away(draw: Draw, watch: type[Watcher]) -> None:
-    seen = tiles_of(watch()(draw(*everywhere("?"))), A_QUESTION)
-    assert seen == sorted((dx, dy) for dx in range(-2, 3) for dy in range(4) if (dx, dy) != (0, 0))
+    seen = tiles_of(watch()(draw(*everywhere(mark))), kind)
+    reached = [(dx, dy) for dx in range(-columns, columns + 1) for dy in range(4)]
+    assert seen == sorted(place for place in reached if place != (0, 0))
 
 
 def test_a_coin_is_known_by_its_tile(draw: Draw, watch: type[Watcher]) -> None:
@@ -233,20 +224,13 @@ def test_an_observation_without_objects_has_none(draw: Draw, watch: type[Watcher
         (("   $   ", "", "  1117", "", "    M"), []),  # no blank on its right
         (("   $   ", "", "7 711117 11117 ", "", "    M"), []),  # no blank on either side
         (("$$$", "", "111 ", "", " M"), []),  # its left end may lie outside the view
+        (("$".rjust(20), "", "111".rjust(21), "", "M".rjust(18)), []),  # and so may its right end
     ],
 )
 def test_a_coin_is_reachable_via_a_platform(
     draw: Draw, watch: type[Watcher], rows: tuple[str, ...], seen: list[tuple[int, int]]
 ) -> None:
     assert tiles_of(watch(via_platforms=True)(draw(*rows)), A_COIN) == seen
-
-
-def test_a_platform_that_leaves_the_view_on_the_right_does_not_count(
-    draw: Draw, watch: type[Watcher]
-) -> None:
-    row = "111".rjust(21)
-    rows = ("$".rjust(20), "", row, "", "M".rjust(18))
-    assert tiles_of(watch(via_platforms=True)(draw(*rows)), A_COIN) == []
 
 
 def test_platforms_help_only_who_knows_of_them(draw: Draw, watch: type[Watcher]) -> None:

@@ -8,13 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pytest
-
-from agents.mario.actions import ACTIONS
 from agents.mario.sample import SampleAgent
 from env_server.mario.environment import InfiniteMario
-from glue.errors import RemoteProtocolError
-from glue.types import Action, Observation
+from glue.types import Action
 
 if TYPE_CHECKING:
     from tests.agents.conftest import Draw
@@ -67,28 +63,6 @@ def test_the_originals_actions_step_for_step() -> None:
     assert compared == 15_490
 
 
-def test_all_but_the_last_seven_actions_are_repeated(draw: Draw, task_spec: str) -> None:
-    screen = draw("M", "7" * 21)
-
-    def episode(steps: int) -> list[int]:
-        actions = [agent.agent_start(screen), *(agent.agent_step(0.0, screen) for _ in range(steps - 1))]
-        agent.agent_end(-10.0)
-        return [ACTIONS.index(action) for action in actions]
-
-    agent = SampleAgent(seed=5)
-    agent.agent_init(task_spec)
-    first = episode(40)
-    second = episode(40)
-    assert second[:33] == first[:33]
-    assert second[33:] != first[33:]
-    third = episode(20)
-    assert third == second[:20]
-    assert episode(40)[:13] == second[:13]
-    episode(7)
-    fresh = [episode(1) for _ in range(60)]
-    assert len({action for (action,) in fresh}) > 1
-
-
 def test_an_episode_that_was_cut_off_is_not_remembered(draw: Draw, task_spec: str) -> None:
     screen = draw("M", "7" * 21)
     agent = SampleAgent(seed=5)
@@ -99,17 +73,3 @@ def test_an_episode_that_was_cut_off_is_not_remembered(draw: Draw, task_spec: st
         agent.agent_start(screen)
     repeated = [agent.agent_start(screen), *(agent.agent_step(0.0, screen) for _ in range(12))]
     assert repeated == first[:13]
-
-
-@pytest.mark.parametrize("y", [-5.0, -0.5, 0.0, 17.5, 2.0e9])
-def test_mario_outside_the_screen_is_no_trouble(draw: Draw, task_spec: str, y: float) -> None:
-    agent = SampleAgent(seed=1)
-    agent.agent_init(task_spec)
-    assert agent.agent_start(draw("7" * 21, at=(3.0, y))) in ACTIONS
-
-
-def test_another_tasks_observation_is_refused(task_spec: str) -> None:
-    agent = SampleAgent()
-    agent.agent_init(task_spec)
-    with pytest.raises(RemoteProtocolError, match="is the environment Mario"):
-        agent.agent_start(Observation([1, 2, 3], [0.5], b"?"))

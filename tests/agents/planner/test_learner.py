@@ -11,12 +11,12 @@ import pytest
 from agents.planner.agent import PlannerAgent
 from agents.planner.learner import LearningPlannerAgent
 from env_server.mario import model
-from env_server.mario.environment import InfiniteMario, check_parameters
+from env_server.mario.environment import check_parameters
 from env_server.mario.game import Game
 from env_server.mario.level_sets import LEVEL_SETS
 from glue.errors import ConfigError, SaveError
+from tests.agents.planner.test_planner import TASK_SPEC, play_on
 
-TASK_SPEC = InfiniteMario().env_init()
 FIVE = [name != "speed_slidejump" for name in model.CONSTANTS]
 REAL = {
     "speed_walk": 0.4347,
@@ -36,15 +36,7 @@ def made() -> LearningPlannerAgent:
 def played(agent: PlannerAgent, options: dict[str, Any], level: int, steps: int = 10_000) -> list[float]:
     """Return the rewards of an episode on a training level."""
     game = Game(LEVEL_SETS["train-200"].level(check_parameters(options), level))
-    action, rewards = agent.agent_start(game.start()), []
-    for _ in range(steps):
-        reward, observation, ended = game.step(*action.ints.tolist())
-        rewards.append(reward)
-        if ended:
-            agent.agent_end(reward)
-            break
-        action = agent.agent_step(reward, observation)
-    return rewards
+    return [reward for _, reward in play_on(game, agent, steps)]
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])

@@ -12,10 +12,11 @@ import pytest
 
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
-from tests.agents.soar.example import UP
 from tests.system.runs import children, contents, run, start, wait_until
 
 pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
+
+UP = Path(__file__).with_name("up.soar").read_text("utf-8")
 
 PLAN = (
     *("--env", "mario", "--env-option", "max_trial_steps=100", "--agent", "soar-hierarchical"),

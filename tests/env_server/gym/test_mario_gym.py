@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from env_server.mario.observation import BODY_SIZE
+from env_server.mario.parameters import Parameters
 from glue.errors import ConfigError, SimulatorError
 from glue.types import Observation
 from tests.env_server.mario import golden_check
@@ -24,7 +25,6 @@ ID = "env_server.gym:glue/InfiniteMario-v0"
 STEPS = int(os.environ.get("GYM_STEPS", "4000"))
 """Steps of all games together; .ci/run plays 100,000."""
 GAMES = 64
-MODES = ("NextStep", "SameStep", "Disabled")
 VIEWS = ("tiles", "planes", "pixels", "raw")
 
 
@@ -77,11 +77,14 @@ def test_check_env_finds_nothing_but_infinite_bounds(view: str) -> None:
 
 @pytest.mark.skipif(not hasattr(vector, "AutoresetMode"), reason="Gymnasium 1.0 has no modes to compare with")
 @pytest.mark.parametrize("levels", [{"levels": "train-200"}, {"num_levels": GAMES}], ids=["own", "shared"])
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    ("mode", "view"),
+    [("NextStep", "tiles"), ("SameStep", "planes"), ("SameStep", "pixels"), ("Disabled", "raw")],
+)
 def test_vector_environment_is_as_gymnasium_puts_single_ones_together(
-    mode: str, levels: dict[str, Any]
+    mode: str, view: str, levels: dict[str, Any]
 ) -> None:
-    options: dict[str, Any] = {"max_trial_steps": 90, **levels}
+    options: dict[str, Any] = {"observation": view, "max_trial_steps": 90, **levels}
     ours = make_vec(autoreset_mode=mode, num_threads=2, max_episode_steps=60, **options)
     singles = [lambda: make(max_episode_steps=60, **options)] * GAMES
     theirs = vector.SyncVectorEnv(singles, autoreset_mode=vector.AutoresetMode(mode))
@@ -109,40 +112,6 @@ def test_vector_environment_is_as_gymnasium_puts_single_ones_together(
     theirs.close()
 
 
-@pytest.mark.parametrize("view", VIEWS)
-def test_batches_of_any_size_and_number_of_threads_play_the_same(view: str) -> None:
-    games = [
-        make_vec(count, num_threads=threads, observation=view, levels="test-1000", copy=copy)
-        for count, threads, copy in ((6, 1, True), (6, 3, True), (3, 2, False))
-    ]
-    for env in games:
-        env.reset(seed=3)
-    generator = np.random.default_rng(3)
-    for _ in range(40):
-        actions = lively(generator, 6)
-        shown = [env.step(actions[: env.num_envs])[0] for env in games]
-        assert rows(shown[0]) == rows(shown[1])
-        if isinstance(shown[0], dict):
-            assert rows({name: part[:3] for name, part in shown[0].items()}) == rows(shown[2])
-        else:
-            assert rows(shown[0][:3]) == rows(shown[2])
-
-
-def recorded_runs() -> Iterator[tuple[dict[str, Any], list[golden_check.Line]]]:
-    """Yield the options of each recorded run, and its starts and steps."""
-    options: dict[str, Any] = {}
-    steps: list[golden_check.Line] = []
-    for name in ("episodes", "variants"):
-        for line in golden_check.lines(name):
-            if line["kind"] == "run":
-                if steps:
-                    yield options, steps
-                options, steps = asdict(golden_check.parameters_of(line)), []
-            elif line["kind"] in ("start", "step"):
-                steps.append(line)
-    yield options, steps
-
-
 def as_recorded(shown: dict[str, Any]) -> Observation:
     """Return an observation of the raw view as RL-Glue's."""
     actors = int(shown["actors"][0])
@@ -151,31 +120,52 @@ def as_recorded(shown: dict[str, Any]) -> Observation:
     )
 
 
-def test_single_and_vector_environment_play_what_the_original_recorded() -> None:
-    compared = 0
-    for options, lines in recorded_runs():
-        env = make(observation="raw", **options)
-        envs = make_vec(2, observation="raw", autoreset_mode="Disabled", **options)
-        for line in lines:
-            if line["kind"] == "start":
-                seed = 0 if line is lines[0] else None
-                shown, _ = env.reset(seed=seed)
-                both, _ = envs.reset(seed=seed)
-                reward, ended, rewards, ends = 0.0, False, [0.0] * 2, [False] * 2
-            else:
-                action = np.array([line["a"][0] + 1, *line["a"][1:]])
-                shown, reward, ended, _, _ = env.step(action)
-                both, rewards, ends, _, _ = envs.step(np.stack([action, action]))
-            assert golden_check.same(line, reward, as_recorded(shown), ended)
-            for i in range(2):
-                one = {name: part[i] for name, part in both.items()}
-                assert golden_check.same(line, float(rewards[i]), as_recorded(one), bool(ends[i]))
-            compared += 1
-        env.close()
-        envs.close()
-        if compared >= STEPS:
-            break
-    assert compared >= min(STEPS, 20_000)
+class Single:
+    """A single environment, played as a `Game`."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._env = make(observation="raw", **asdict(parameters))
+        self._seed: int | None = 0
+
+    def start(self) -> Observation:
+        shown, _ = self._env.reset(seed=self._seed)
+        self._seed = None
+        return as_recorded(shown)
+
+    def step(self, *action: int) -> tuple[float, Observation, bool]:
+        shown, reward, ended, _, _ = self._env.step(np.array([action[0] + 1, *action[1:]]))
+        return reward, as_recorded(shown), ended
+
+
+class Both:
+    """Two games of a vector environment, which must play the same, as a `Game`."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._envs = make_vec(2, observation="raw", autoreset_mode="Disabled", **asdict(parameters))
+        self._seed: int | None = 0
+
+    def start(self) -> Observation:
+        both, _ = self._envs.reset(seed=self._seed)
+        self._seed = None
+        return self._shown(both)
+
+    def step(self, *action: int) -> tuple[float, Observation, bool]:
+        both, rewards, ends, _, _ = self._envs.step(np.array([[action[0] + 1, *action[1:]]] * 2))
+        assert (rewards[0], ends[0]) == (rewards[1], ends[1])
+        return float(rewards[0]), self._shown(both), bool(ends[0])
+
+    def _shown(self, both: dict[str, Any]) -> Observation:
+        first, second = (as_recorded({name: part[i] for name, part in both.items()}) for i in range(2))
+        assert first == second
+        return first
+
+
+@pytest.mark.parametrize("play", [Single, Both])
+def test_what_the_original_recorded_is_played(play: Callable[[Parameters], Any]) -> None:
+    for name, least in (("variants", 697), ("episodes", min(STEPS, 20_000))):
+        compared, differences = golden_check.check_runs(name, play=play, most=STEPS)
+        assert differences == []
+        assert compared >= least
 
 
 def test_views_show_what_the_raw_observation_says() -> None:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,18 +51,32 @@ def parameters_of(run: Line) -> Parameters:
     return resolve(run["params"] | {name: run[name] for name in _SETTINGS})
 
 
-def check_runs(name: str, only: frozenset[str] | None = None) -> Checked:
-    """Compare all runs of a file, or `only` those with these names, each up to its first difference."""
+def check_runs(
+    name: str,
+    only: frozenset[str] | None = None,
+    play: Callable[[Parameters], Any] = Game,
+    most: float = math.inf,
+) -> Checked:
+    """Compare the runs of a file, each up to its first difference.
+
+    Args:
+        name: name of the file.
+        only: the names of the runs; None for all.
+        play: makes a game with these parameters, which is started and stepped as a `Game`.
+        most: number of steps after which no other run begins.
+    """
     compared, differences = 0, []
-    game, where, lost = None, "", True
+    game: Any = None
+    where, lost = "", True
     for line in lines(name):
         kind = line["kind"]
         if kind == "run":
-            game, where = Game(parameters_of(line)), line["id"]
+            if compared >= most:
+                break
+            game, where = play(parameters_of(line)), line["id"]
             lost = only is not None and where not in only
         if lost or kind not in ("start", "step"):
             continue
-        assert game is not None
         reward, observation, ended, *_ = (
             (0.0, game.start(), False) if kind == "start" else game.step(*line["a"])
         )

@@ -16,7 +16,6 @@ from glue import Action, Observation, connect, make
 from glue.batches import Ragged, pack_actions, read_batch_task_spec, unpack_batch
 from glue.console import LOG
 from glue.errors import ConfigError, GlueError, RemoteProtocolError, SimulatorError
-from glue.options import parameters
 from glue.plugins.batched import BatchedEnvironments, make_batch
 from glue.roles import Environment
 from tests.hubs import hub_with
@@ -25,33 +24,6 @@ from tests.players import ActingInAll
 STEPS: Final = 40
 LIVELY: Final[dict[str, Any]] = {"level_difficulty": 9, "max_trial_steps": 25}
 """Options of games that end, each at a different step."""
-OTHER: Final[dict[str, Any]] = {
-    "instance": 4,
-    "mdp": "testing-3",
-    "level_seed": 7,
-    "level_type": 1,
-    "level_difficulty": 3,
-    "level_width": 60,
-    "max_trial_steps": 7,
-    "reward_goal": 3.5,
-    "reward_death": -2.25,
-    "reward_step": -0.125,
-    "reward_coin": 0.3,
-    "reward_kill": 0.7,
-    "speed_walk": 1.1,
-    "speed_run": 2.3,
-    "speed_jump": -2.5,
-    "speed_slidejump": -3.0,
-    "accel_fall": 0.9,
-    "jump_time": 4,
-    "slidejump_time": -3,
-    "render": "checkin",
-    "alpha": 0.25,
-    "start_ticks": 10,
-    "velocity": "jar",
-}
-"""A value other than the default for every option."""
-
 Shown = tuple[float, bytes]
 """The sum of the rewards, and the message."""
 
@@ -92,14 +64,6 @@ def test_games_are_shown_as_so_many_environments_show_them(games: int) -> None:
     ended = [unpack_batch(Observation.from_body(body)).terminals.sum() for _, body in shown]
     assert sum(ended) >= games
     assert games == 1 or any(0 < some < games for some in ended)
-
-
-@pytest.mark.parametrize("option", parameters(InfiniteMario))
-def test_every_option_is_that_of_all_games(option: str) -> None:
-    options = {option: OTHER[option]} if option == "mdp" else LIVELY | {option: OTHER[option]}
-    ours, theirs = both(3, **options)
-    assert ours.env_init() == theirs.env_init()
-    assert played(ours, 3) == played(theirs, 3)
 
 
 def test_messages_are_answered_as_one_environment_answers_them() -> None:

@@ -21,7 +21,6 @@ from env_server.mario.sim.tiles import (
     CHANGED,
     COINS,
     FLOORS,
-    GROUND,
     PICKUP,
     STOPS_ALL,
     STOPS_FALL,
@@ -89,14 +88,6 @@ def test_new_level_leaves_nothing_of_the_last() -> None:
     fresh = level({"level_seed": 3, "level_width": 2000})
     assert np.array_equal(environment.game.level_map.tiles, fresh.tiles)
     assert np.array_equal(environment.game.level_map.spawns, fresh.spawns)
-
-
-def test_ground_is_dressed_in_the_colour_of_its_type() -> None:
-    inner = [GROUND + dress for dress in (0, 12, 8)]
-    for kind, code in enumerate(inner):
-        tiles = level({"level_type": kind}).tiles[:370]
-        assert (tiles == code).any()
-        assert not np.isin(tiles, [other for other in inner if other not in (code, GROUND)]).any()
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -43,18 +43,6 @@ def test_games_play_as_they_do_alone(threads: int) -> None:
             batch.start(ended)
 
 
-def test_ended_game_must_be_started_again() -> None:
-    tasks = [InfiniteMario(max_trial_steps=limit).parameters for limit in (2, 1)]
-    with MarioBatch(tasks) as batch:
-        batch.start()
-        _, ended = batch.step(np.zeros((2, 3), np.int32))
-        assert ended.tolist() == [False, True]
-        with pytest.raises(SimulatorError, match="game 1 has no episode"):
-            batch.step(np.zeros((2, 3), np.int32))
-        batch.start(ended)
-        batch.step(np.zeros((2, 3), np.int32))
-
-
 def test_action_out_of_bounds_is_refused_and_no_game_moves(batch: MarioBatch) -> None:
     batch.start()
     before = [batch.observation(i) for i in range(3)]
@@ -65,11 +53,6 @@ def test_action_out_of_bounds_is_refused_and_no_game_moves(batch: MarioBatch) ->
     with pytest.raises(SimulatorError, match=r"shape \(3, 3\), not \(2, 3\)"):
         batch.step(actions[:2])
     assert [batch.observation(i) for i in range(3)] == before
-
-
-def test_batch_must_be_started(batch: MarioBatch) -> None:
-    with pytest.raises(SimulatorError, match="game 0 has no episode"):
-        batch.step(np.zeros((3, 3), np.int32))
 
 
 def test_a_batch_plays_uncompiled() -> None:

@@ -67,7 +67,9 @@ def test_options_that_are_named_exist() -> None:
 def test_every_parameter_is_listed_with_its_default_and_bounds() -> None:
     known = parameters(InfiniteMario)
     for name, default, bounds, unit, meaning in rows(TEXT, "| parameter | default"):
-        about = known.pop(name.strip("`")).option
+        name = name.strip("`")
+        assert str(task()[name]) == default
+        about = known.pop(name).option
         shown = about.choices or (f"{about.low:.10g} to {about.high:.10g}",)
         assert (", ".join(shown), about.unit) == (bounds, unit)
         assert about.help == f"{meaning}; {default} by default"

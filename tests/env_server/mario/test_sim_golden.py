@@ -9,16 +9,13 @@ import sys
 
 import pytest
 
-from glue.types import Observation
 from tests.env_server.mario import golden_check
 from tests.proof import size
 
 
 @pytest.mark.parametrize(("name", "expected"), [("episodes", 25726), ("variants", 697)])
-def test_recorded_runs_are_reproduced(capsys: pytest.CaptureFixture[str], name: str, expected: int) -> None:
+def test_recorded_runs_are_reproduced(name: str, expected: int) -> None:
     compared, differences = golden_check.check_runs(name)
-    with capsys.disabled():
-        print(f"\n{name}: {compared} steps compared, {len(differences)} runs differ")
     assert differences == []
     assert compared == expected
 
@@ -29,7 +26,7 @@ STEPS = {"dev-0083": 54, "dev-0084": 45, "dev-0086": 3} | size({}, {"dev-0009": 
 
 @pytest.mark.slow
 @pytest.mark.proof
-def test_uncompiled_rules_reproduce_every_tick(capsys: pytest.CaptureFixture[str]) -> None:
+def test_uncompiled_rules_reproduce_every_tick() -> None:
     run = subprocess.run(
         [sys.executable, "-W", "error", golden_check.__file__ or "", ",".join(TICKS), ",".join(STEPS)],
         env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
@@ -39,15 +36,4 @@ def test_uncompiled_rules_reproduce_every_tick(capsys: pytest.CaptureFixture[str
     )
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
-    with capsys.disabled():
-        print(f"\nuncompiled: {found['ticks'][0]} ticks and {found['steps'][0]} steps compared")
     assert found == {"ticks": [sum(TICKS.values()), []], "steps": [sum(STEPS.values()), []]}
-
-
-def test_a_difference_is_noticed() -> None:
-    line = {"kind": "step", "i": [0], "d": [-0.0], "c": "", "r": -0.01, "end": 0}
-    observation = Observation([0], [-0.0])
-    assert golden_check.same(line, -0.01, observation, False)
-    assert not golden_check.same(line, -0.01, Observation([0], [0.0]), False)
-    assert not golden_check.same(line, -0.010000000000000002, observation, False)
-    assert not golden_check.same(line, -0.01, observation, True)

@@ -1,6 +1,6 @@
 """Rules that recordings of the original rarely or never reach: small scenes, with numbers computed by hand.
 
-Coordinates are pixels, y downwards, 16 per tile; a scene is empty except for what a test puts there.
+The scenes are those of conftest.py: empty except for what a test puts there.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import pytest
 
 from env_server.mario.game import Game
 from env_server.mario.parameters import resolve
+from env_server.mario.reward import terminal_reward
 from env_server.mario.sim.blocks import hit_block
 from env_server.mario.sim.state import (
     ACTORS,
@@ -41,37 +42,6 @@ from env_server.mario.sim.tiles import (
 )
 
 _HEIGHTS = {FIREBALL: 8}
-
-
-@pytest.fixture
-def game() -> Game:
-    game = Game(resolve({"level_width": 0}))
-    game.start()
-    return game
-
-
-@pytest.fixture
-def level(game: Game) -> LevelMap:
-    """An empty level, with the goal out of reach."""
-    level = game.level_map
-    level.tiles[:] = EMPTY
-    level.spawns[:] = 0
-    for column in range(level.columns):
-        write_cells(level, column)
-    level.exit_x = 1000
-    return level
-
-
-@pytest.fixture
-def world(game: Game, level: LevelMap) -> World:
-    """Only Mario: small, at (100, 100) in mid-air, facing right."""
-    world = game.world
-    world.listed = 0
-    for slot in range(1, len(world.actors)):
-        world.actors[slot].kind = FREE
-    world.actors[0].vx = world.actors[0].vy = np.float32(0)
-    move(world.actors[0], 100, 100)
-    return world
 
 
 def move(actor: Actor, x: float, y: float) -> None:
@@ -329,6 +299,11 @@ def test_fall_has_to_pass_a_tile_below_the_level(world: World, level: LevelMap, 
     move(world.actors[0], 100, y)
     tick(world, level)
     assert (world.death_timer, bool(world.frozen)) == (int(dies), dies)
+
+
+def test_winning_takes_precedence_over_dying(world: World) -> None:
+    world.win_timer = world.death_timer = 1
+    assert terminal_reward(world) == 100
 
 
 def test_dead_mario_pauses_leaps_and_falls(world: World, level: LevelMap) -> None:

@@ -19,7 +19,7 @@ from glue.cli.screen import Marks, TerminalScreen, renderer
 from glue.roles import capabilities
 from glue.testing import check_environment
 from glue.types import Action, Observation
-from tests.forked import BIN, run
+from tests.forked import BIN
 from tests.terminal import Terminal, drawings, run_in_terminal, watched_terminal
 
 
@@ -109,20 +109,6 @@ def test_environment_is_drawn_in_its_terminal(tmp_path: Path) -> None:
     assert re.search(r"mm Mario.*  speed .*\nstep 0  reward 0  return 0\.00", first)
     assert re.search(r"mm Mario.*  speed .*\nstep 11  reward -?[\d.]+  return -?[\d.]+", last)
     assert "goodbye" in text[text.rindex("\x1b[?25h") :], "the cursor is back before the last line"
-
-
-def test_where_there_is_no_terminal_nothing_is_drawn(tmp_path: Path) -> None:
-    hub = f"ipc://{tmp_path}/hub"
-    experiment = Terminal(
-        *("glue-experiment", "--agent", "skeleton", "--episodes", "1", "--max-steps", "5"),
-        *("--bind", hub, "--out", "run"),
-        cwd=tmp_path,
-    )
-    try:
-        shown = run("glue-env", "mines", "--render", "--hub", hub, cwd=tmp_path)
-        assert (experiment.end(), shown.returncode, shown.stdout) == (0, 0, ""), shown.stderr
-    finally:
-        experiment.close()
 
 
 def test_second_run_is_drawn_like_the_first() -> None:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import gzip
 import json
-import os
-import pty
 import subprocess
-import sys
 import tracemalloc
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -38,20 +35,20 @@ from glue.roles import Environment
 from glue.trajectory import ActionWriter, Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
 from tests import forked
-from tests.forked import BIN
 from tests.proof import size
+from tests.terminal import run_in_terminal
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "mario"
 RIGHT = Action([1, 0, 1])
 
 
 def golden_lines(name: str, episodes: int = 3) -> list[dict[str, Any]]:
-    """Return the lines of the first episodes of a recording of the original."""
+    """Return the lines of the first episodes, or levels, of a recording of the original."""
     lines = []
     with gzip.open(GOLDEN / name, "rt", encoding="ascii") as file:
         for text in file:
             lines.append(json.loads(text))
-            episodes -= lines[-1]["kind"] == "end"
+            episodes -= lines[-1]["kind"] in ("end", "level")
             if not episodes:
                 break
     return lines
@@ -106,22 +103,6 @@ def record(
                 recording.message("level level_seed=7")
                 environment.env_message("level level_seed=7")
     environment.env_cleanup()
-
-
-@pytest.mark.parametrize("name", ["variants.jsonl.gz", "ticks.jsonl.gz"])
-def test_original_recordings_replay(name: str) -> None:
-    moments = replay(GOLDEN / name)
-    runs = golden_lines(name, 10**9)
-    assert moments[-1].run == sum(line["kind"] == "run" for line in runs)
-    assert moments[-1].episode == sum(line["kind"] == "end" for line in runs)
-    assert sum(moment.step > 0 for moment in moments) == sum(line["kind"] == "step" for line in runs)
-    returns = [line["return"] for line in runs if line["kind"] == "end"]
-    ends = [
-        before
-        for before, after in zip(moments, [*moments[1:], None], strict=True)
-        if not after or not after.step
-    ]
-    assert [moment.episode_return for moment in ends] == returns
 
 
 def test_recording_of_hashes_replays(tmp_path: Path) -> None:
@@ -215,20 +196,7 @@ def test_missing_sprite_is_told_by_the_counts(tmp_path: Path) -> None:
         replay(write_golden(tmp_path / "a.jsonl.gz", lines))
 
 
-GOOD_RUN = {
-    "kind": "run",
-    "id": "a",
-    "level_seed": 121,
-    "level_type": 0,
-    "level_difficulty": 0,
-    "instance": None,
-    "params": {},
-    "obs": "hash",
-    "render": "tick",
-    "alpha": 1.0,
-    "start_ticks": 5,
-    "velocity": "source",
-}
+GOOD_RUN = golden_lines("variants.jsonl.gz")[0] | {"id": "a", "obs": "hash"}
 START = {"kind": "start", "episode": 0, "keys": [0, 0, 0, 0], "h": "0" * 16}
 STEP = {"kind": "step", "a": [1, 0, 0], "r": 0.5, "end": 0, "h": "0" * 16}
 END = {"kind": "end"}
@@ -239,9 +207,7 @@ END = {"kind": "end"}
     [
         ([START], "line 1: a line 'start' cannot stand here"),
         ([GOOD_RUN, STEP], "line 2: a line 'step' cannot"),
-        ([GOOD_RUN, START, START], "line 3: a line 'start' cannot"),
         ([GOOD_RUN, START, GOOD_RUN], "line 3: a line 'run' cannot"),
-        ([GOOD_RUN, END], "line 2: a line 'end' cannot"),
         ([{"kind": "what"}], "line 1: a line 'what' cannot"),
         ([{}], "line 1: field 'kind' must be str"),
         ([[1]], "line 1 is not a JSON object"),
@@ -251,10 +217,8 @@ END = {"kind": "end"}
         ([GOOD_RUN | {"alpha": "1"}], "line 1: field 'alpha' must be float or int"),
         ([GOOD_RUN | {"level_seed": 1.5}], "line 1: field 'level_seed' must be int"),
         ([GOOD_RUN, START | {"keys": [0, 1]}], r"line 2: field 'keys' must be 4 times 0 or 1, not \[0, 1\]"),
-        ([GOOD_RUN, START | {"keys": [0, 0, 0, 2]}], "line 2: field 'keys' must be 4 times 0 or 1"),
         ([GOOD_RUN, START | {"keys": None}], "line 2: field 'keys' must be list"),
         ([GOOD_RUN, START | {"h": "xyz"}], "line 2: field 'h' must be 16 hexadecimal digits"),
-        ([GOOD_RUN, START | {"h": "00"}], "line 2: field 'h' must be 16"),
         ([GOOD_RUN, START | {"i": [0], "d": [], "c": ""}], "line 2: its hash is not that of"),
         ([GOOD_RUN, START | {"i": [2**31], "d": [], "c": ""}], "line 2: ints must be"),
         ([GOOD_RUN, START | {"i": [True], "d": [], "c": ""}], "line 2: field 'i' must be a list of int"),
@@ -393,19 +357,7 @@ def test_hashes_alone_cannot_be_shown(tmp_path: Path) -> None:
         list(recorded_moments(open_recording(path)))
 
 
-LEVEL = {
-    "kind": "level",
-    "level_seed": 121,
-    "level_type": 0,
-    "level_difficulty": 0,
-    "level_width": 320,
-    "width": 370,
-    "height": 15,
-    "xExit": 317,
-    "yExit": 11,
-    "rows": ["00" * 370] * 15,
-    "sprites": [[15, 11, 2, 0]],
-}
+LEVEL = golden_lines("levels.jsonl.gz", 1)[0]
 
 
 def test_levels_of_the_original_are_compared() -> None:
@@ -420,17 +372,16 @@ def test_levels_of_the_original_are_compared() -> None:
         ({"level_seed": 122}, "goal: "),
         ({"width": 371}, "width: expected 371, got 370"),
         ({"yExit": 12}, r"goal: expected \(317, 12\), got \(317, 11\)"),
-        ({"rows": LEVEL["rows"]}, "tile in column 111, row 3: expected '00', got '10'"),
+        ({"rows": ["00" * 370] * 15}, "tile in column 111, row 3: expected '00', got '10'"),
         ({"rows": []}, "tile in column 0, row 0: expected None, got '00'"),
-        ({"sprites": LEVEL["sprites"]}, "spawn point 1: expected None, got Spawn"),
+        ({"sprites": [[15, 11, 2, 0]]}, "spawn point 1: expected None, got Spawn"),
         ({"sprites": []}, r"spawn point 0: expected None, got Spawn\(column=15, row=11, kind=2, winged=F"),
     ],
 )
 def test_level_that_differs_is_told_by_what_differs(
     tmp_path: Path, change: dict[str, Any], message: str
 ) -> None:
-    level = golden_lines("levels.jsonl.gz", 10**9)[0]
-    path = write_golden(tmp_path / "a", [level, level | change])
+    path = write_golden(tmp_path / "a", [LEVEL, LEVEL | change])
     task = "level_seed=12. level_type=0 level_difficulty=0 level_width=320"
     with pytest.raises(Difference, match=f"^{task}: the level's {message}"):
         replay(path)
@@ -468,11 +419,12 @@ def command(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def test_command_compares_and_counts(tmp_path: Path) -> None:
     hashed = write_golden(tmp_path / "h.jsonl.gz", as_hashes(golden_lines("episodes.jsonl.gz", 1)))
-    levels = GOLDEN / "levels.jsonl.gz"
-    done = command("--check", GOLDEN / "variants.jsonl.gz", hashed, levels)
+    variants, ticks, levels = (GOLDEN / f"{name}.jsonl.gz" for name in ("variants", "ticks", "levels"))
+    done = command("--check", variants, ticks, hashed, levels)
     assert done.returncode == 0, done.stderr
     assert done.stdout == (
-        f"{GOLDEN / 'variants.jsonl.gz'}: 6 runs, 18 episodes, 697 steps: no difference\n"
+        f"{variants}: 6 runs, 18 episodes, 697 steps: no difference\n"
+        f"{ticks}: 5 runs, 8 episodes, 1333 steps: no difference\n"
         f"{hashed}: 1 run, 1 episode, 212 steps: no difference\n"
         f"{levels}: 120 levels: no difference\n"
     )
@@ -503,34 +455,10 @@ def test_command_says_what_is_wrong_with_its_arguments(tmp_path: Path) -> None:
         ([tmp_path / "a", "--png", tmp_path / "x.png", "--episode", "9"], 2, "no episode 9"),
         ([write_golden(tmp_path / "run", [GOOD_RUN])], 1, "holds no whole episode"),
     ]
-    commands = [list(map(str, arguments)) for arguments, _, _ in cases]
-    done = subprocess.run(
-        [sys.executable, "-c", SEVERAL_TIMES, json.dumps(commands)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    answers = [answer.split("\n", 1) for answer in done.stderr.split("exit code ")[1:]]
-    for (arguments, code, message), (exited, said) in zip(cases, answers, strict=True):
-        assert (int(exited), message in said) == (code, True), (arguments, said)
-        assert "Traceback" not in said
-
-
-SEVERAL_TIMES = """
-import contextlib, io, json, sys
-from env_server.cli.replay import main
-
-for arguments in json.loads(sys.argv[1]):
-    sys.argv[1:] = arguments
-    said = io.StringIO()
-    with contextlib.redirect_stderr(said):
-        try:
-            main()
-        except SystemExit as done:
-            code = done.code
-    sys.stderr.write(f"exit code {code}\\n{said.getvalue()}")
-"""
+    for arguments, code, message in cases:
+        done = command(*arguments)
+        assert (done.returncode, message in done.stderr) == (code, True), (arguments, done.stderr)
+        assert "Traceback" not in done.stderr
 
 
 def test_command_tells_of_a_recording_that_was_not_closed(tmp_path: Path) -> None:
@@ -555,16 +483,12 @@ def test_command_writes_pictures(tmp_path: Path) -> None:
         assert image.size == (640, 480)
 
 
-def test_command_draws_in_a_terminal_at_its_speed(tmp_path: Path) -> None:
+def test_command_draws_in_a_terminal_at_its_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_golden(tmp_path / "a", golden_lines("variants.jsonl.gz", 2))
-    looking, drawing = pty.openpty()
-    words = [str(BIN / "glue-replay"), str(path), "--episode", "2", "--steps", "2", "4", "--speed", "50"]
-    environment = os.environ | {"TERM": "xterm", "NO_COLOR": "1"}
-    process = subprocess.Popen(words, stdout=drawing, stdin=drawing, env=environment)
-    os.close(drawing)
-    drawn = "".join(_until_closed(looking))
-    os.close(looking)
-    assert process.wait(timeout=60) == 0
+    monkeypatch.setenv("NO_COLOR", "1")
+    part = ("--episode", "2", "--steps", "2", "4", "--speed", "50")
+    status, drawn = run_in_terminal("glue-replay", str(path), *part, cwd=tmp_path)
+    assert status == 0, drawn
     assert [step for step in range(8) if f"run var-alpha0, episode 2, step {step}" in drawn] in (
         [2, 4],
         [2, 3, 4],
@@ -572,17 +496,6 @@ def test_command_draws_in_a_terminal_at_its_speed(tmp_path: Path) -> None:
     assert "::::" in drawn
     assert "\x1b[?25h" in drawn
     assert "2 episodes, 45 steps: no difference" in drawn
-
-
-def _until_closed(descriptor: int) -> Iterator[str]:
-    while True:
-        try:
-            data = os.read(descriptor, 2**16)
-        except OSError:  # Linux raises this when the other end is closed
-            return
-        if not data:
-            return
-        yield data.decode()
 
 
 def test_command_compares_with_the_environment_it_is_told_to(tmp_path: Path) -> None:
@@ -607,15 +520,6 @@ def test_long_episode_of_the_original_takes_no_memory(tmp_path: Path) -> None:
     finally:
         tracemalloc.stop()
     assert episode.run.name == run["id"]
-
-
-def test_steps_that_are_not_read_are_passed_over() -> None:
-    runs = [
-        part.run.name
-        for part in GoldenReader(GOLDEN / "variants.jsonl.gz")
-        if isinstance(part, GoldenEpisode)
-    ]
-    assert len(runs) == sum(line["kind"] == "end" for line in golden_lines("variants.jsonl.gz", 10**9))
 
 
 def test_actions_only_recording_replays_and_shows_the_environments_observations(tmp_path: Path) -> None:

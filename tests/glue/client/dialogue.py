@@ -12,7 +12,6 @@ from glue.client.experiment import RemoteExperiment, connect_over
 from glue.client.players import _serve
 from glue.client.target import Target
 from glue.doors import clock
-from glue.wire.codec import UnknownKind
 from glue.wire.messages import Kind, Message, Role
 
 HEARTBEAT = 1.0
@@ -34,7 +33,7 @@ class Dialogue:
         self.now = 0.0
         self.over = False
         self._wait = HEARTBEAT
-        self._inbox: deque[Message | UnknownKind] = deque()
+        self._inbox: deque[Message] = deque()
         self._sent: deque[Message] = deque()
         self._later: list[tuple[float, Message]] = []
         self._script = self._conversation(script, sessions)
@@ -56,10 +55,6 @@ class Dialogue:
     def say_later(self, when: float, message: Message) -> None:
         """Send a message at a time, when all other messages have been read."""
         self._later.append((when, message))
-
-    def say_unknown(self, seq: int) -> None:
-        """Send a message of an unknown kind."""
-        self._inbox.append(UnknownKind(999, "default", seq))
 
     def welcome(self, resumed: bool = False, session: str = "default") -> Script:
         """Welcome the client; return its HELLO."""
@@ -107,10 +102,7 @@ class Dialogue:
             self._later = [later for later in self._later if later[0] > self.now]
             assert self.now < 1000, f"the hub waits for {self._wanted!r}, and the client for the hub"
             return None
-        message = self._inbox.popleft()
-        if isinstance(message, UnknownKind):
-            raise message
-        return message
+        return self._inbox.popleft()
 
     def close(self, linger: float | None = None) -> None:
         while self._sent:

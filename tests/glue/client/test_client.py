@@ -68,27 +68,6 @@ def test_hello_says_who_speaks_and_what_it_can_do() -> None:
     assert len(instances) == 2
 
 
-def test_what_follows_an_unknown_kind_is_read() -> None:
-    def calling(hub: Dialogue) -> Script:
-        hub.say_unknown(7)
-        hub.say(Kind.AGENT_INIT, 1)
-        error = yield Kind.ERROR
-        assert error[1:4] == (
-            "default",
-            7,
-            (ErrorCode.UNKNOWN_KIND, "message kind 999 is not one of protocol version 1"),
-        )
-        yield Kind.AGENT_INIT
-
-    def replying(hub: Dialogue) -> Script:
-        request = yield Kind.RL_NUM_STEPS
-        hub.say_unknown(request.seq - 1)
-        hub.say(Kind.RL_NUM_STEPS, request.seq, 5)
-
-    serve(calling, ScriptedAgent())
-    assert experiment(replying, lambda glue: glue.rl_num_steps()) == 5
-
-
 def test_a_refusal_is_an_error_with_the_hubs_reason() -> None:
     def hub(hub: Dialogue) -> Script:
         yield Kind.HELLO
@@ -108,19 +87,6 @@ def test_a_hub_that_does_not_answer_is_greeted_once_and_mentioned(lines: list[st
     assert lines[0].startswith("no hub answers at tcp://hub:1 yet")
     assert "glue-hub" in lines[0]
     assert lines[1] == "the hub at tcp://hub:1 is there"
-
-
-def test_over_each_new_connection_a_hub_is_greeted_once_as_by_the_same() -> None:
-    def hub(hub: Dialogue) -> Script:
-        first = yield from hub.welcome()
-        yield from hub.call(Kind.AGENT_INIT, 1)
-        for _ in range(2):
-            hub.reconnect()
-            again = yield from hub.welcome(resumed=True)
-            assert again.scalars == first.scalars
-            yield from hub.call(Kind.AGENT_END, 2, 1.0)
-
-    greet(hub, {"default": ScriptedAgent()})
 
 
 def silent(hub: Dialogue) -> Script:
@@ -354,29 +320,6 @@ def test_an_error_of_the_hub_is_raised_as_what_it_is(code: str, error: type[Glue
     with pytest.raises(error, match=r"^what happened$") as caught:
         experiment(hub, lambda glue: glue.rl_step())
     assert caught.type is error
-
-
-def test_a_request_waits_for_the_welcome_over_the_latest_connection() -> None:
-    # Sent directly after the HELLO, the step could reach a hub that has never seen the episode.
-    def hub(hub: Dialogue) -> Script:
-        request = yield Kind.RL_NUM_STEPS
-        hub.say(Kind.RL_NUM_STEPS, request.seq, 5)
-        yield Kind.HEARTBEAT  # the experiment waits for players
-        hub.reconnect()
-        hello = yield Kind.HELLO
-        for seq in (hello.seq - 1, hello.seq):
-            for role in ("agent", "environment"):
-                hub.say(Kind.NOTICE, 0, "joined", role, "p")
-            hub.say(Kind.WELCOME, seq, 1, seq != hello.seq, 1.0, 10.0, 10_000)
-        yield Kind.GOODBYE
-
-    def verbs(glue: RemoteExperiment) -> None:
-        glue.rl_num_steps()
-        glue.wait_for_players(lambda missing: None)
-        glue.rl_step()
-
-    with pytest.raises(HubClosed, match="knows nothing of this experiment"):
-        experiment(hub, verbs)
 
 
 SLOW = ("slow", "agent", "Jumper: compiling its rules")

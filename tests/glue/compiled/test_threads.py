@@ -88,20 +88,25 @@ def test_workers_claim_what_the_caller_leaves() -> None:
 
 @pytest.mark.parametrize(
     ("work", "read", "pays"),
-    [(0.5, 0.0, True), (0.95, 0.0, False), (0.5, 1.0, False)],
-    ids=["half the time", "hardly faster", "what other cores wrote is read slowly"],
+    [
+        ((0.5, 0.5), 0.0, (True, True)),
+        ((0.95, 0.95), 0.0, (False, False)),
+        ((0.5, 0.5), 1.0, (False, False)),
+        ((0.5, 2.0), 0.0, (True, False)),
+    ],
+    ids=["half the time", "hardly faster", "what other cores wrote is read slowly", "they become slow"],
 )
 def test_threads_work_together_only_where_trials_show_that_it_pays(
-    monkeypatch: pytest.MonkeyPatch, work: float, read: float, pays: bool
+    monkeypatch: pytest.MonkeyPatch, work: tuple[float, float], read: float, pays: tuple[bool, bool]
 ) -> None:
-    """A turn takes the caller alone 2 ms; with all threads, `work` and `read` are shares of that."""
+    """A turn takes the caller alone 2 ms; `work`, at first and from turn 100 on, and `read` are shares."""
     now, together = [0.0], [False]
     monkeypatch.setattr(clock, "monotonic", lambda: now[0])
 
     def timed(gate: Gate, worker: int, numbers: Numbers) -> None:
         if worker == CALLER:
             together.append(bool(gate[CALLER, RELEASED]))
-            now[0] += 0.002 * (work if together[-1] else 1)
+            now[0] += 0.002 * (work[len(together) >= 100] if together[-1] else 1)
         mark(gate, worker, numbers)
 
     def reading() -> None:
@@ -111,26 +116,8 @@ def test_threads_work_together_only_where_trials_show_that_it_pays(
     for _ in range(200):
         threads.run(timed, numbers, then=reading)
     threads.close()
-    assert set(together[50:]) == {pays}
-
-
-def test_threads_that_become_slow_are_left_within_two_trials(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A turn takes the caller alone 2 ms, and all threads together 1 ms at first and 4 ms later."""
-    now, together = [0.0], [False]
-    monkeypatch.setattr(clock, "monotonic", lambda: now[0])
-
-    def timed(gate: Gate, worker: int, numbers: Numbers) -> None:
-        if worker == CALLER:
-            together.append(bool(gate[CALLER, RELEASED]))
-            now[0] += (0.001 if len(together) < 100 else 0.004) if together[-1] else 0.002
-        mark(gate, worker, numbers)
-
-    threads, numbers = Threads(2, COUNT), np.zeros(COUNT, np.int64)
-    for _ in range(150):
-        threads.run(timed, numbers)
-    threads.close()
-    assert set(together[50:100]) == {True}
-    assert set(together[125:]) == {False}
+    assert set(together[50:100]) == {pays[0]}
+    assert set(together[125:]) == {pays[1]}, "within two trials"
 
 
 def test_threads_that_nobody_closes_end_when_they_are_forgotten() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from agents.baselines import RandomAgent
@@ -16,66 +18,34 @@ from glue.wire.messages import Kind
 SPEC = MinesEnvironment().env_init()
 
 
-class Greedy(RandomAgent):
-    """Returns one int too many, from its second action on."""
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        return Action(ints=[0, 1])
+def answering(player: type[Any], method: str, answer: object) -> Any:
+    """Return a player whose method always returns one answer."""
+    return type("Wrong", (player,), {method: lambda *_: answer})()
 
 
-class Blurred(MinesEnvironment):
-    """Shows a double where its task spec has an int, after the first observation."""
-
-    def env_step(self, action: Action) -> Step:
-        return Step(0.0, Observation(doubles=[0.5]), False)
+TALK = Action([1, 2], [0.5], b"ab")
 
 
-def test_agent_whose_action_has_too_many_ints_is_blamed() -> None:
-    with local(Greedy(), MinesEnvironment()) as glue:
+@pytest.mark.parametrize(
+    ("player", "method", "answer", "words"),
+    [
+        (RandomAgent, "agent_start", Action([0, 1]), "1 int, .* returned 2 ints$"),
+        (RandomAgent, "agent_step", Action([0, 1]), "1 int, .* returned 2 ints$"),
+        (RandomAgent, "agent_step", TALK, "1 int, .* returned 2 ints, 1 double, 2 chars$"),
+        (MinesEnvironment, "env_start", Observation([], [0.5]), "1 int, .* returned 1 double$"),
+        (MinesEnvironment, "env_step", Step(0.0, Observation([], [0.5]), False), "1 int, .* 1 double$"),
+    ],
+)
+def test_an_answer_of_the_wrong_size_is_blamed_on_its_sender(
+    player: type[Any], method: str, answer: object, words: str
+) -> None:
+    wrong = answering(player, method, answer)
+    agent = wrong if player is RandomAgent else RandomAgent()
+    environment = wrong if player is MinesEnvironment else MinesEnvironment()
+    with local(agent, environment) as glue:
         glue.rl_init(seed=1)
-        glue.rl_start()
-        with pytest.raises(PeerFailed, match=r"agent_step of Greedy must return 1 int.* returned 2 ints"):
-            glue.rl_step()
-
-
-def test_environment_whose_observation_is_not_as_it_said_is_blamed() -> None:
-    with local(RandomAgent(), Blurred()) as glue:
-        glue.rl_init(seed=1)
-        glue.rl_start()
-        with pytest.raises(PeerFailed, match=r"env_step of Blurred must return 1 int.* returned 1 double"):
-            glue.rl_step()
-
-
-def test_what_was_returned_and_expected_is_counted_by_its_kind() -> None:
-    class Talking(RandomAgent):
-        def agent_step(self, reward: float, observation: Observation) -> Action:
-            return Action([1, 2], [0.5], b"ab")
-
-    with local(Talking(), MinesEnvironment()) as glue:
-        glue.rl_init(seed=1)
-        glue.rl_start()
-        with pytest.raises(PeerFailed, match=r"must return 1 int, .* returned 2 ints, 1 double, 2 chars$"):
-            glue.rl_step()
-
-
-def test_first_answers_are_checked_as_the_later_ones_are() -> None:
-    class Early(MinesEnvironment):
-        def env_start(self) -> Observation:
-            return Observation(doubles=[0.5])
-
-    with local(RandomAgent(), Early()) as glue:
-        glue.rl_init(seed=1)
-        with pytest.raises(PeerFailed, match=r"env_start of Early must return 1 int.* returned 1 double"):
-            glue.rl_start()
-
-    class Hasty(RandomAgent):
-        def agent_start(self, observation: Observation) -> Action:
-            return Action(ints=[0, 1])
-
-    with local(Hasty(), MinesEnvironment()) as glue:
-        glue.rl_init(seed=1)
-        with pytest.raises(PeerFailed, match=r"agent_start of Hasty must return 1 int.* returned 2 ints"):
-            glue.rl_start()
+        with pytest.raises(PeerFailed, match=f"{method} of Wrong must return {words}"):
+            glue.rl_start(), glue.rl_step()
 
 
 def test_a_save_that_is_not_bytes_is_a_wrong_answer() -> None:

@@ -64,17 +64,6 @@ def test_an_interrupt_passes_through() -> None:
     assert glue.rl_num_steps() == 2, "the experiment can still be asked"
 
 
-def test_after_a_failure_another_episode_can_be_started() -> None:
-    agent = Faulty("agent_step", ValueError())
-    glue = local(agent, ScriptedEnvironment(length=2))
-    glue.rl_init()
-    with pytest.raises(PeerFailed):
-        glue.rl_episode()
-    agent.before = lambda call: None
-    assert glue.rl_episode()
-    assert glue.rl_num_episodes() == 1
-
-
 @pytest.mark.parametrize(
     ("answers", "complaint"),
     [

@@ -43,21 +43,4 @@ class Nested(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         return self.observation_space.sample(), reward, terminated, truncated, {}
 
 
-class Picture(gymnasium.Env[Any, Any]):  # type: ignore[misc]
-    """Images like those of an Atari game after preprocessing, 84 by 84 by 4; never ends."""
-
-    observation_space = spaces.Box(0, 255, (84, 84, 4), np.uint8)
-    action_space = spaces.Discrete(6)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        return self.np_random.integers(0, 256, (84, 84, 4), np.uint8), {}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        return self.np_random.integers(0, 256, (84, 84, 4), np.uint8), float(action), False, False, {}
-
-
 gymnasium.register("tests/Nested-v0", entry_point=Nested)
-gymnasium.register("tests/Picture-v0", entry_point=Picture, max_episode_steps=7)

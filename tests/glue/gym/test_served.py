@@ -42,7 +42,6 @@ NAMES: dict[str, dict[str, Any]] = {
     "Pendulum-v1": {"g": 9.81, "max_episode_steps": 30},
     "LunarLander-v3": {},
     "tests/Nested-v0": {"length": 4},
-    "tests/Picture-v0": {},
 }
 
 

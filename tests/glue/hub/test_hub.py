@@ -1,7 +1,8 @@
-"""The hub as part of a program: the addresses that it can listen on, and its end."""
+"""The hub as part of a program: the addresses that it can listen on, its end, and what it forgets."""
 
 from __future__ import annotations
 
+import gc
 import socket
 import threading
 from pathlib import Path
@@ -9,19 +10,18 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.client.players import serve_agent, serve_environment
-from glue.console import say_why_slow
 from glue.doors import network
-from glue.errors import ConfigError, GlueError, HubClosed, Refused
-from glue.hub.config import Bind, HubConfig, LegacyPort
+from glue.errors import ConfigError, GlueError, HubClosed
+from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.listener import open_address
 from glue.hub.io.server import Hub
 from glue.hub.peer import Route
 from glue.hub.sessions import Switchboard
 from glue.legacy.gateway import Gateway
+from glue.types import Action, Observation
 from glue.wire import zmtp
-from glue.wire.messages import Kind, Message, Role
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from glue.wire.messages import Kind, Message
+from glue.wire.steps import StepFormat
 from tests.scripted.peer import TIMEOUT, ScriptedPeer, framed
 
 
@@ -119,17 +119,6 @@ def test_an_address_opened_once_serves_one_hub_after_another_and_refuses_no_conn
         socket.create_connection(("127.0.0.1", port))
 
 
-def test_an_address_is_open_to_its_roles_alone(tmp_path: Path) -> None:
-    inside = Bind(f"ipc://{tmp_path}/hub", frozenset({Role.EXPERIMENT}))
-    outside = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT, Role.ENVIRONMENT}))
-    with Hub(HubConfig(bind=(inside, outside))).in_background() as listening:
-        first, second = listening.endpoints
-        with pytest.raises(Refused, match="no experiment of session 'default' may join at this address"):
-            connect(second)
-        with connect(first) as glue:
-            assert glue.rl_num_episodes() == 0
-
-
 def test_a_name_stands_for_its_ipv4_address(monkeypatch: pytest.MonkeyPatch) -> None:
     resolve = socket.getaddrinfo
 
@@ -217,27 +206,28 @@ def test_everything_sent_before_a_reset_is_received() -> None:
         assert all(left.acquire(timeout=TIMEOUT) for _ in sessions)
 
 
-class Compiling(ScriptedEnvironment):
-    def env_init(self) -> str:
-        say_why_slow("compiling its rules")
-        return super().env_init()
+def formats(session: str) -> int:
+    return sum(type(each) is StepFormat and each.session == session for each in gc.get_objects())
 
 
-def test_the_hub_and_the_experiment_are_told_that_a_player_compiles(caplog: pytest.LogCaptureFixture) -> None:
-    logged: list[str] = []
-    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), log=logged.append)
-    with listening.in_background():
-        (url,) = listening.endpoints
-        players = (
-            threading.Thread(target=serve_environment, args=(Compiling(), url)),
-            threading.Thread(target=serve_agent, args=(ScriptedAgent(), url)),
-        )
-        for player in players:
-            player.start()
-        with connect(url, wait=TIMEOUT) as glue:
-            glue.rl_init()
-    for player in players:
-        player.join(TIMEOUT)
-    told = "environment Compiling: compiling its rules"
-    assert told in caplog.messages
-    assert any(told in line for line in logged)
+def test_formats_of_steps_end_with_the_session_and_not_with_the_connection() -> None:
+    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=60.0, timeout=60.0)
+    with (
+        Hub(config).in_background() as hub,
+        ScriptedPeer(hub.endpoints[0], session="forgotten").greet() as environment,
+        ScriptedPeer(hub.endpoints[0], session="forgotten").greet() as experiment,
+    ):
+        environment.join("environment", session="kept")
+        environment.join("environment")
+        experiment.join("experiment")
+        experiment.say(Kind.RL_ENV_STEP, 1, body=Action([1]).body)
+        while (call := environment.receive()).kind is not Kind.ENV_STEP:
+            environment.say(call.kind, call.seq)
+        environment.say(Kind.ENV_STEP, call.seq, 1.0, False, body=Observation([2]).body)
+        while experiment.receive().kind is not Kind.RL_ENV_STEP:
+            pass
+        assert formats("forgotten") > 0
+        environment.say(Kind.GOODBYE, 0, "enough")
+        environment.say(Kind.HEARTBEAT, 7, session="kept")
+        environment.receive_frames()  # the hub has read the GOODBYE
+        assert formats("forgotten") == 0

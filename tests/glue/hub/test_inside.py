@@ -9,7 +9,7 @@ from types import FrameType
 
 import pytest
 
-from glue.client.experiment import RemoteExperiment, connect, connect_over
+from glue.client.experiment import RemoteExperiment, connect_over
 from glue.client.players import serve_agent, serve_environment
 from glue.doors import network, threads
 from glue.engine.experiment import Experiment
@@ -56,29 +56,6 @@ def test_it_plays_where_there_is_no_epoll(monkeypatch: pytest.MonkeyPatch) -> No
         serve_chain(hub)
         with inside(hub) as glue, local(ChainAgent(), ChainEnvironment()) as expected:
             assert play(glue) == play(expected)
-
-
-def test_the_hub_serves_others_while_the_experiment_does_something_else(hub: Hub) -> None:
-    with inside(hub) as glue:
-        assert glue.rl_num_steps() == 0
-        with connect(hub.endpoints[0], "other") as other:
-            assert other.rl_num_episodes() == 0
-            assert glue.rl_num_steps() == 0
-            assert other.rl_num_episodes() == 0
-
-
-def test_two_experiments_of_one_process_take_the_loop_in_turn(hub: Hub) -> None:
-    def ask(session: str) -> None:
-        with inside(hub, session) as glue:
-            for _ in range(300):
-                assert glue.rl_num_steps() == 0
-
-    threads = [threading.Thread(target=ask, args=(name,)) for name in ("one", "two", "three")]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(TIMEOUT)
-        assert not thread.is_alive()
 
 
 class LateLock:

@@ -23,16 +23,12 @@ from glue.hub.io.hosting import host
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
 from glue.wire.messages import Role
-from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent, SeededEnvironment
+from tests.players import ScriptedAgent, ScriptedEnvironment
 
 TIMEOUT = 20.0
 """Seconds until a test gives up waiting. Generous: machines are busy."""
 
 ARRANGEMENTS = [frozenset[Role](), {Role.ENVIRONMENT}, {Role.AGENT}, {Role.ENVIRONMENT, Role.AGENT}]
-
-every_arrangement = pytest.mark.parametrize(
-    "inside", ARRANGEMENTS, ids=["none", "environment", "agent", "both"]
-)
 
 
 def serve(role: Role, player: Any, url: str) -> threading.Thread:
@@ -74,7 +70,7 @@ def play(glue: Experiment, seed: int, max_steps: int) -> list[object]:
     return shown
 
 
-@every_arrangement
+@pytest.mark.parametrize("inside", ARRANGEMENTS, ids=["none", "environment", "agent", "both"])
 @pytest.mark.parametrize(("environment", "agent"), [("mines", "sarsa"), ("mines", "random")])
 @pytest.mark.parametrize(("seed", "max_steps"), [(1, 0), (2, 7)])
 def test_results_are_those_of_one_process(
@@ -86,19 +82,6 @@ def test_results_are_those_of_one_process(
     with local(make_agent(agent), make(environment)) as expected:
         assert play(expected, seed, max_steps) == result
         assert learned == (expected.rl_agent_save() if agent == "sarsa" else b"")
-
-
-@every_arrangement
-def test_calls_arrive_in_the_same_order(inside: Any) -> None:
-    calls: list[str] = []
-    expected: list[str] = []
-    with arranged(inside, SeededAgent(calls), SeededEnvironment(calls=calls)) as (glue, _):
-        shown = play(glue, 4, 9)
-        glue.rl_cleanup()
-    with local(SeededAgent(expected), SeededEnvironment(calls=expected)) as alone:
-        assert play(alone, 4, 9) == shown
-        alone.rl_cleanup()
-    assert calls == expected
 
 
 @pytest.mark.parametrize("role", [Role.AGENT, Role.ENVIRONMENT])

@@ -17,18 +17,19 @@ from glue.client.experiment import RemoteExperiment, connect
 from glue.client.players import serve_agent, serve_environment
 from glue.client.target import find_target
 from glue.client.transport import open_transport
-from glue.errors import ConfigError, GlueError, HubUnreachable, LocalProtocolError, Refused
+from glue.errors import ConfigError, GlueError, HubUnreachable, Refused
 from glue.hub.config import Bind, HubConfig
 from glue.hub.io.server import Hub
-from glue.hub.keys import Keys
+from glue.hub.keys import Keys, Permit
 from glue.keys.allowed import read_keys
 from glue.keys.certificates import encode, read_pair, read_public
 from glue.wire import zmtp
-from glue.wire.messages import Kind, Role
+from glue.wire.codec import FROM_HUB, decode
+from glue.wire.messages import ErrorCode, Kind, Message, Role
 from tests.keyed import KeyFolder
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.scripted.curve import GREETING, CurveClient, Pair, command
-from tests.scripted.peer import ScriptedPeer, framed, hello_scalars
+from tests.scripted.peer import ScriptedPeer
 from tests.system.proxy import Proxy
 
 TIMEOUT = 20.0
@@ -233,33 +234,6 @@ def test_a_program_finds_its_place_in_the_environment(
         assert glue.rl_num_episodes() == 0, "the keys of GLUE_HUB are not for another hub"
 
 
-def test_heartbeats_of_libzmq_are_answered_and_large_bodies_pass(folder: KeyFolder) -> None:
-    with serving(folder) as hub, players(hub, folder), zmq.Context() as context:
-        made = context.socket
-
-        def with_heartbeats(kind: int) -> zmq.Socket[bytes]:
-            one = made(kind)
-            one.setsockopt(zmq.HEARTBEAT_IVL, 20)
-            one.setsockopt(zmq.HEARTBEAT_TIMEOUT, 5000)
-            return one
-
-        context.socket = with_heartbeats  # type: ignore[method-assign, assignment]
-        with connect(
-            hub.endpoints[0],
-            "a",
-            key=secret(folder, "experiment"),
-            hub_key=folder.hub_key,
-            context=context,
-        ) as glue:
-            glue.rl_init()
-            large = "é" * 1_000_000
-            assert glue.rl_agent_message(large) == ScriptedAgent().agent_message(large)
-            threading.Event().wait(0.2)  # ten PINGs
-            assert glue.rl_num_episodes() == 0
-            with pytest.raises(LocalProtocolError, match="the hub takes"):
-                glue.rl_agent_message("x" * (17 * 2**20))
-
-
 def test_keys_are_read_again_and_who_lost_theirs_is_out(folder: KeyFolder) -> None:
     log = Log()
     with serving(folder, log) as hub, join(hub, folder, "experiment") as glue, players(hub, folder):
@@ -319,36 +293,6 @@ def stack() -> Iterator[ExitStack]:
         yield stack
 
 
-def test_nothing_can_be_slipped_in_between_encrypted_messages(folder: KeyFolder, stack: ExitStack) -> None:
-    log = Log()
-    hub = stack.enter_context(serving(folder, log))
-    peer = stack.enter_context(scripted(hub, folder, stack)[0].greet())
-    peer.join("experiment")
-    log.wait_for("experiment scripted (test) joined")
-    peer.send_bytes(framed(*peer.frames_of(Kind.RL_NUM_STEPS, 1)))  # in plain text
-    log.wait_for("was dropped: it sent something that is not encrypted")
-
-
-def test_a_handshake_that_was_recorded_opens_nothing(folder: KeyFolder, stack: ExitStack) -> None:
-    hub = stack.enter_context(serving(folder))
-    (first, keys), (second, _), (third, _) = [scripted(hub, folder, stack) for _ in range(3)]
-    hello = command(keys.hello())
-    first.send_bytes(hello)
-    keys.welcome(first.read_frame()[1])
-    initiate = command(keys.initiate())
-    first.send_bytes(initiate)
-    keys.ready(first.read_frame()[1])
-    message = first.encoded(*first.frames_of(Kind.HELLO, 1, *hello_scalars("experiment")))
-    first.send_bytes(message)
-    second.send_bytes(hello)
-    assert second.read_frame()[1].startswith(b"\x07WELCOME")
-    for replaying in (second, third):
-        replaying.send_bytes(initiate + message)
-        assert replaying.read_to_end() == b""
-    assert first.receive().kind is Kind.WELCOME
-    assert hub.switchboard.num_steps("a") == 0, "the first keeps its role"
-
-
 def test_a_handshake_that_stops_half_way_is_dropped(folder: KeyFolder, stack: ExitStack) -> None:
     hub = stack.enter_context(serving(folder))
     (silent, _), (cut, cut_keys), *begun = [scripted(hub, folder, stack) for _ in range(5)]
@@ -362,3 +306,32 @@ def test_a_handshake_that_stops_half_way_is_dropped(folder: KeyFolder, stack: Ex
     keys.ready(peer.read_frame()[1])
     object.__setattr__(hub.config, "greeting", 0.0)  # from now on it waits for nobody
     assert [peer.read_to_end() for peer in (silent, cut, *(peer for peer, _ in begun))] == [b""] * 5
+
+
+UNKNOWN = ((bytes((0x93, 99, 0xA1, 0x73, 5)),), (bytes((0x94, 72, 0xA1, 0x73, 6, 1)), b"a body"))
+"""The frames of messages in session s: of a kind that nobody knows, and of one that only hubs send."""
+
+
+@pytest.mark.parametrize("keyed", [False, True], ids=["plain", "keyed"])
+@pytest.mark.parametrize("role", Role)
+def test_a_hub_reads_what_lies_behind_unknown_kinds(role: Role, keyed: bool) -> None:
+    hub_keys, own = Pair.new(), Pair.new()
+    permits = {own.public: Permit("somebody", frozenset(Role))}
+    bind = Bind("tcp://127.0.0.1:*", keys=Keys(hub_keys.secret, permits) if keyed else None)
+    with (
+        Hub(HubConfig(bind=(bind,), heartbeat=60.0, timeout=60.0)).in_background() as hub,
+        ScriptedPeer(hub.endpoints[0], session="s") as founder,
+        ScriptedPeer(hub.endpoints[0], session="s") as peer,
+    ):
+        if keyed:
+            founder.keys, peer.keys = (CurveClient(own, hub_keys.public) for _ in range(2))
+        founder.greet().join("agent" if role is not Role.AGENT else "environment")
+        peer.greet().join(role)
+        beat = peer.frames_of(Kind.HEARTBEAT, 7)
+        peer.send_bytes(b"".join(peer.encoded(*frames) for frames in (*UNKNOWN * 2, beat)))
+        heard: list[Message] = []
+        while not heard or heard[-1].kind is not Kind.HEARTBEAT:
+            heard.append(decode(peer.receive_frames(), FROM_HUB))
+    errors = [(message.seq, message.scalars[0]) for message in heard if message.kind is Kind.ERROR]
+    assert errors == [(5, ErrorCode.UNKNOWN_KIND), (6, ErrorCode.UNKNOWN_KIND)] * 2
+    assert heard[-1].seq == 7

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from glue.hub.config import Bind
 from glue.hub.observers import MAX_OBSERVERS
 from glue.types import Action
 from glue.wire.messages import CALLS, THREE_ROLES, ErrorCode, Kind, Message, Role, Shape
@@ -190,14 +189,6 @@ def test_who_takes_part_cannot_ask_to_be_shown_anything(rig: Rig, route: str) ->
     code, text = error(rig.say(route, Kind.OBSERVE, 0, 5))
     assert code == ErrorCode.NOT_ASKED
     assert text.startswith("OBSERVE is not for this ")
-
-
-def test_an_observer_may_come_only_where_its_address_admits_observers(rig: Rig) -> None:
-    rig.binds["o"] = Bind("ipc:///x", frozenset({Role.AGENT, Role.ENVIRONMENT, Role.EXPERIMENT}))
-    assert error(rig.hello("o", Role.OBSERVER))[0] == ErrorCode.NOT_ADMITTED
-    rig.binds["o"] = Bind("ipc:///x", frozenset({Role.OBSERVER}))
-    assert error(rig.hello("o", Role.AGENT))[0] == ErrorCode.NOT_ADMITTED
-    assert rig.hello("o", Role.OBSERVER)[0].kind is Kind.WELCOME
 
 
 def test_a_session_has_so_many_observers_and_those_that_are_gone_make_room(rig: Rig) -> None:

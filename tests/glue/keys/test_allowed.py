@@ -11,7 +11,7 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
 from glue.errors import ConfigError
 from glue.keys.allowed import read_keys
-from glue.keys.certificates import encode, read_pair, read_public, write_pair
+from glue.keys.certificates import encode, read_pair, read_public
 from glue.wire.messages import Role
 from tests.keyed import KeyFolder
 
@@ -171,12 +171,3 @@ def test_a_pair_that_does_not_belong_together_is_refused(folder: KeyFolder) -> N
     secret.write_text(secret.read_text().replace(encode(read_public(secret)), wrong))
     with pytest.raises(ConfigError, match="its two keys do not belong together"):
         read_keys(folder.path)
-
-
-def test_a_pair_of_glue_keys_fits_together_for_the_hub(tmp_path: Path) -> None:
-    from glue.client.libzmq import new_pair
-    from glue.wire.curve import public_key
-
-    _, secret = write_pair(tmp_path, "any", new_pair())
-    pair = read_pair(secret)
-    assert public_key(pair.secret) == pair.public

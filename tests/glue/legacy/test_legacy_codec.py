@@ -46,12 +46,9 @@ VOCABULARIES = {
     "to experiment": TO_EXPERIMENT,
 }
 OF_ROLE = {
-    ("agent", "client"): FROM_AGENT,
-    ("agent", "server"): TO_AGENT,
-    ("environment", "client"): FROM_ENVIRONMENT,
-    ("environment", "server"): TO_ENVIRONMENT,
-    ("experiment", "client"): FROM_EXPERIMENT,
-    ("experiment", "server"): TO_EXPERIMENT,
+    (role, end): VOCABULARIES[f"{way} {role}"]
+    for role in ("agent", "environment", "experiment")
+    for end, way in (("client", "from"), ("server", "to"))
 }
 
 some = settings(max_examples=size(15, 1000), suppress_health_check=[HealthCheck.too_slow])
@@ -236,16 +233,10 @@ def test_a_zero_byte_ends_a_text_in_both_directions() -> None:
     assert encode(Frame(Kind.AGENT_MESSAGE, body=b"cut\0off"), TO_AGENT) == raw(10, text_of(b"cut"))
 
 
-def java_text(text: str) -> bytes:
-    """Return a text as Java sends it: counted in UTF-16 units, sent as UTF-8."""
-    units = len(text.encode("utf-16-be")) // 2
-    return struct.pack(">I", units) + text.encode()
-
-
 def java_frame(kind: int, text: str) -> bytes:
-    payload = java_text(text)
-    (units,) = struct.unpack_from(">I", payload)
-    return struct.pack(">iI", kind, 4 + units) + payload
+    """Return a message with a text as Java sends it: counted in UTF-16 units, sent as UTF-8."""
+    units = len(text.encode("utf-16-be")) // 2
+    return struct.pack(">iII", kind, 4 + units, units) + text.encode()
 
 
 @some

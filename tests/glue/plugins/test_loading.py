@@ -22,7 +22,8 @@ from glue.wire.messages import Role
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working directory; modules imported from it are forgotten afterwards."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", sys.path.copy())
+    searched = loading._searched  # by tests of other modules, in this process
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path not in searched])
     monkeypatch.setattr(sys, "modules", sys.modules.copy())
     monkeypatch.setattr(loading, "_aside", {})
     monkeypatch.setattr(loading, "_searched", [])

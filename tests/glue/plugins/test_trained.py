@@ -49,14 +49,6 @@ def test_trained_agent_offers_what_the_agent_does() -> None:
         assert name_of(trained) == name_of(agent), "messages name what a person started"
 
 
-def test_load_trained_reads_what_was_saved(tmp_path: Path) -> None:
-    taught = sarsa(20)
-    (tmp_path / "mines.agent").write_bytes(taught.agent_save())
-    agent = load_trained(SarsaAgent(), tmp_path / "mines.agent")
-    agent.agent_init(MinesEnvironment().env_init())
-    assert agent.agent_save() == taught.agent_save()
-
-
 def test_agent_that_cannot_load_and_file_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="object cannot load what was learned: it has no agent_load"):
         load_trained(object(), tmp_path / "any.agent")
@@ -98,17 +90,6 @@ def test_file_of_another_agent_is_one_line_at_both_ends(tmp_path: Path) -> None:
     assert (status, agent.end()) == (1, 1)
     (error,) = [line for line in agent.lines if line.startswith("Error:")]
     assert "104 bytes are not a save of agent sarsa" in error
-
-
-@pytest.mark.parametrize(
-    ("file", "advice"), [("nothing.agent", "cannot read nothing.agent"), (".", "is a directory")]
-)
-def test_file_that_cannot_be_read_is_one_line(tmp_path: Path, file: str, advice: str) -> None:
-    shown = run("glue-agent", "sarsa", "--load", file, cwd=tmp_path)
-    assert shown.returncode == 2
-    assert advice in shown.stderr
-    assert sum(line.startswith("Error:") for line in shown.stderr.splitlines()) == 1
-    assert "Traceback" not in shown.stderr
 
 
 GREEDY = ("--no-learning", "--epsilon", "0")

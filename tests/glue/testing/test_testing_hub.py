@@ -66,16 +66,10 @@ class Spoiled(Switchboard):
         return all(in_turn)
 
     def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
-        return [(route, self.says(message))]
+        return [(route, message)]
 
     def heard(self, route: Route, message: Message) -> list[Message]:
-        return [self.expects(message)]
-
-    def says(self, message: Message) -> Message:
-        return message
-
-    def expects(self, message: Message) -> Message:
-        return message
+        return [message]
 
 
 class NeverWelcomes(Spoiled):
@@ -93,42 +87,25 @@ class AsksTheAgentBeforeTheEnvironment(Spoiled):
         return [] if message.kind is Kind.AGENT_START else [(route, message)]
 
 
-class ShowsAnOldObservation(Spoiled):
-    def says(self, message: Message) -> Message:
-        if message.kind not in (Kind.AGENT_START, Kind.AGENT_STEP):
-            return message
-        before = self.seen.get(message.session, message.body)
-        self.seen[message.session] = message.body
-        return message._replace(body=before)
-
-
 class CountsBackwards(Spoiled):
-    def says(self, message: Message) -> Message:
-        return self.expects(message)
+    def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
+        return [(route, self.heard(route, message)[0])]
 
-    def expects(self, message: Message) -> Message:
+    def heard(self, route: Route, message: Message) -> list[Message]:
         called = message.kind in CALLS and CALLS[message.kind].callee is not None
-        return message._replace(seq=1000 - message.seq) if called and message.seq < 1000 else message
+        return [message._replace(seq=1000 - message.seq) if called and message.seq < 1000 else message]
 
 
 class ReturnsTheLastReward(Spoiled):
-    def says(self, message: Message) -> Message:
+    def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
         if message.kind is Kind.RL_RETURN:
-            return message._replace(scalars=(self.seen.get(message.session, 0.0),))
-        return message
+            message = message._replace(scalars=(self.seen.get(message.session, 0.0),))
+        return [(route, message)]
 
-    def expects(self, message: Message) -> Message:
-        if message.kind is Kind.ENV_STEP:
-            self.seen[message.session] = message.scalars[0]
-        if message.kind in (Kind.ENV_INIT, Kind.ENV_START):
-            self.seen[message.session] = 0.0
-        return message
-
-
-class EndsTextsAtAZero(Spoiled):
-    def says(self, message: Message) -> Message:
-        is_text = message.kind in (Kind.AGENT_MESSAGE, Kind.ENV_MESSAGE)
-        return message._replace(body=message.body.partition(b"\0")[0]) if is_text else message
+    def heard(self, route: Route, message: Message) -> list[Message]:
+        if message.kind in (Kind.ENV_INIT, Kind.ENV_START, Kind.ENV_STEP):
+            self.seen[message.session] = (*message.scalars, 0.0)[0]
+        return [message]
 
 
 class KnowsOneSessionOfAConnection(Spoiled):
@@ -136,27 +113,9 @@ class KnowsOneSessionOfAConnection(Spoiled):
         return [message._replace(session=self.seen.setdefault(route, message.session))]
 
 
-class CarriesOutWhatIsRepeated(Spoiled):
-    def expects(self, message: Message) -> Message:
-        key = message.session, message.kind, message.seq
-        if message.kind is Kind.RL_STEP and key in self.seen:
-            return message._replace(seq=message.seq + 1)
-        self.seen[key] = message
-        return message
-
-
 class DropsWhoSaysWhatIsUnknown(Spoiled):
     def malformed(self, route: Route, error: RemoteProtocolError, now: float) -> None:
         super().malformed(route, RemoteProtocolError(str(error)), now)
-
-
-class CallsAgainWithANewNumber(Spoiled):
-    def says(self, message: Message) -> Message:
-        key = message.session, message.kind, message.seq
-        if message.kind is Kind.ENV_STEP and key in self.seen:
-            return message._replace(seq=message.seq + 1)
-        self.seen[key] = message
-        return message
 
 
 class CountsAHelloForAnAnswer(Spoiled):
@@ -183,124 +142,121 @@ class WaitsForEver(Spoiled):
         super().tick(0.0)
 
 
-class InitialisesNoNewcomer(Spoiled):
-    def says(self, message: Message) -> Message:
-        if message.kind is Kind.NOTICE and message.scalars[:2] == (Event.LOST, Role.ENVIRONMENT):
-            self.seen[message.session] = True
-        if message.kind is Kind.ENV_INIT and message.session in self.seen:
-            return message._replace(kind=Kind.ENV_START)
-        return message
+Seen = dict[Any, Any]
+Change = Callable[[Message, Seen], Message]
+"""A change of a message, by what the hub remembers of those before it."""
 
 
-Change = Callable[[Message], Message]
+def saying(change: Change, *kinds: Kind) -> type[Spoiled]:
+    """Return a hub that changes its outgoing messages of some kinds."""
+
+    def out(hub: Spoiled, route: Route, message: Message) -> list[tuple[Route, Message]]:
+        return [(route, change(message, hub.seen) if message.kind in kinds else message)]
+
+    return type("Saying", (Spoiled,), {"out": out})
 
 
-def saying(kind: Kind, change: Change) -> type[Spoiled]:
-    """Return a hub that changes its outgoing messages of a kind."""
+def hearing(change: Change, *kinds: Kind) -> type[Spoiled]:
+    """Return a hub that changes incoming messages of some kinds."""
 
-    class Saying(Spoiled):
-        def says(self, message: Message) -> Message:
-            return change(message) if message.kind is kind else message
+    def heard(hub: Spoiled, route: Route, message: Message) -> list[Message]:
+        return [change(message, hub.seen) if message.kind in kinds else message]
 
-    return Saying
+    return type("Hearing", (Spoiled,), {"heard": heard})
 
 
-def hearing(kind: Kind, change: Change) -> type[Spoiled]:
-    """Return a hub that changes incoming messages of a kind."""
+def the_body_before(message: Message, seen: Seen) -> Message:
+    before = seen.get(message.session, message.body)
+    seen[message.session] = message.body
+    return message._replace(body=before)
 
-    class Hearing(Spoiled):
-        def expects(self, message: Message) -> Message:
-            return change(message) if message.kind is kind else message
 
-    return Hearing
+def another_number_if_repeated(message: Message, seen: Seen) -> Message:
+    key = message.session, message.kind, message.seq
+    again, seen[key] = key in seen, True
+    return message._replace(seq=message.seq + again)
+
+
+def start_of_a_newcomer(message: Message, seen: Seen) -> Message:
+    if message.kind is Kind.ENV_INIT and message.session in seen:
+        return message._replace(kind=Kind.ENV_START)
+    if message.scalars[:2] == (Event.LOST, Role.ENVIRONMENT):
+        seen[message.session] = True
+    return message
 
 
 def scalars(start: int, *values: Value, stop: int | None = None) -> Change:
     """Return a change of the scalars from `start` to `stop`, by default as many as there are values."""
     end = start + len(values) if stop is None else stop
-    return lambda message: message._replace(
-        scalars=(*message.scalars[:start], *values, *message.scalars[end:])
-    )
+    return lambda m, seen: m._replace(scalars=(*m.scalars[:start], *values, *m.scalars[end:]))
+
+
+def first(change: Callable[[Any], Value]) -> Change:
+    """Return a change of the first scalar."""
+    return lambda m, seen: m._replace(scalars=(change(m.scalars[0]), *m.scalars[1:]))
 
 
 def without(code: ErrorCode) -> type[Spoiled]:
     """Return a hub that says `full` instead of an error code."""
-    full = scalars(0, "full")
-    return saying(Kind.ERROR, lambda message: full(message) if message.scalars[0] == code else message)
+    return saying(first(lambda said: "full" if said == code else said), Kind.ERROR)
 
 
 def instead(kind: Kind, *values: Value) -> Change:
-    """Return a change to a message of another kind."""
-    return lambda message: message._replace(kind=kind, scalars=values)
+    """Return a change to a message of another kind, unless its number is 0 and it is a heartbeat."""
+    return lambda m, seen: m if (m.kind, m.seq) == (Kind.HEARTBEAT, 0) else Message(kind, *m[1:3], values)
 
+
+FIRST_ACTION = Action([0]).body
 
 BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
     "welcomes with its own number": (
         HubRule.GREETING,
-        saying(Kind.WELCOME, lambda message: message._replace(seq=0)),
+        saying(lambda m, seen: m._replace(seq=0), Kind.WELCOME),
     ),
-    "knows everybody": (HubRule.GREETING, saying(Kind.WELCOME, scalars(1, True))),
+    "knows everybody": (HubRule.GREETING, saying(scalars(1, True), Kind.WELCOME)),
     "does not answer heartbeats": (
         HubRule.HEARTBEAT,
-        saying(
-            Kind.HEARTBEAT,
-            lambda message: instead(Kind.ERROR, "unknown-kind", "")(message) if message.seq else message,
-        ),
+        saying(instead(Kind.ERROR, "unknown-kind", ""), Kind.HEARTBEAT),
     ),
     "asks the agent before the environment": (HubRule.CALLS, AsksTheAgentBeforeTheEnvironment),
-    "shows an old observation": (HubRule.CALLS, ShowsAnOldObservation),
-    "rounds rewards": (
-        HubRule.CALLS,
-        saying(
-            Kind.AGENT_STEP,
-            lambda message: message._replace(scalars=(float(round(float(str(message.scalars[0])))),)),
-        ),
-    ),
-    "tells the outcome unasked": (HubRule.CALLS, saying(Kind.RL_EPISODE, scalars(1, 0.0, 1, stop=1))),
+    "shows an old observation": (HubRule.CALLS, saying(the_body_before, Kind.AGENT_START, Kind.AGENT_STEP)),
+    "rounds rewards": (HubRule.CALLS, saying(first(lambda reward: float(round(reward))), Kind.AGENT_STEP)),
+    "tells the outcome unasked": (HubRule.CALLS, saying(scalars(1, 0.0, 1, stop=1), Kind.RL_EPISODE)),
     "counts backwards": (HubRule.NUMBERS, CountsBackwards),
     "returns the last reward": (HubRule.COUNTERS, ReturnsTheLastReward),
-    "counts no start": (
-        HubRule.COUNTERS,
-        saying(
-            Kind.RL_NUM_STEPS,
-            lambda message: message._replace(scalars=(max(0, int(str(message.scalars[0])) - 1),)),
-        ),
-    ),
-    "takes the limit for the end": (HubRule.CUTOFF, saying(Kind.RL_EPISODE, scalars(0, True))),
+    "counts no start": (HubRule.COUNTERS, saying(first(lambda n: max(0, n - 1)), Kind.RL_NUM_STEPS)),
+    "takes the limit for the end": (HubRule.CUTOFF, saying(scalars(0, True), Kind.RL_EPISODE)),
     "tells another outcome": (
         HubRule.OUTCOME,
-        saying(
-            Kind.RL_EPISODE,
-            lambda message: scalars(2, 0)(message) if len(message.scalars) > 1 else message,
-        ),
+        saying(lambda m, seen: scalars(2, 0)(m, seen) if m.scalars[1:] else m, Kind.RL_EPISODE),
     ),
     "acts before any action": (
         HubRule.LAST_ACTION,
+        saying(lambda m, seen: m._replace(body=FIRST_ACTION) if len(m.body) == 16 else m, Kind.ENV_STEP),
+    ),
+    "ends texts at a zero": (
+        HubRule.MESSAGES,
         saying(
-            Kind.ENV_STEP,
-            lambda message: (
-                message._replace(body=Action([0]).body) if message.body == Action().body else message
-            ),
+            lambda m, seen: m._replace(body=m.body.partition(b"\0")[0]), Kind.AGENT_MESSAGE, Kind.ENV_MESSAGE
         ),
     ),
-    "ends texts at a zero": (HubRule.MESSAGES, EndsTextsAtAZero),
-    "speaks every version": (HubRule.VERSION, hearing(Kind.HELLO, scalars(0, (1,)))),
-    "takes everybody for the same": (HubRule.ROLE_TAKEN, hearing(Kind.HELLO, scalars(2, bytes(16)))),
+    "speaks every version": (HubRule.VERSION, hearing(scalars(0, (1,)), Kind.HELLO)),
+    "takes everybody for the same": (HubRule.ROLE_TAKEN, hearing(scalars(2, bytes(16)), Kind.HELLO)),
     "does not say unknown-peer": (HubRule.UNKNOWN_PEER, without(ErrorCode.UNKNOWN_PEER)),
-    "gives one seed": (HubRule.SEED, saying(Kind.ENV_SEED, scalars(0, 1))),
+    "gives one seed": (HubRule.SEED, saying(scalars(0, 1), Kind.ENV_SEED)),
     "does not say unsupported": (HubRule.UNSUPPORTED, without(ErrorCode.UNSUPPORTED)),
     "knows one session of a connection": (HubRule.SESSIONS, KnowsOneSessionOfAConnection),
     "does not say busy": (HubRule.BUSY, without(ErrorCode.BUSY)),
-    "carries out what is repeated": (HubRule.REPEATED, CarriesOutWhatIsRepeated),
+    "carries out what is repeated": (HubRule.REPEATED, hearing(another_number_if_repeated, Kind.RL_STEP)),
     "does not say not-asked": (HubRule.NOT_ASKED, without(ErrorCode.NOT_ASKED)),
     "drops a peer of an unknown kind": (HubRule.UNKNOWN_KIND, DropsWhoSaysWhatIsUnknown),
-    "drops a peer that fails": (HubRule.EXCEPTION, hearing(Kind.ERROR, instead(Kind.GOODBYE, ""))),
+    "drops a peer that fails": (HubRule.EXCEPTION, hearing(instead(Kind.GOODBYE, ""), Kind.ERROR)),
     "does not say malformed": (HubRule.MALFORMED, without(ErrorCode.MALFORMED)),
-    "calls again with a new number": (HubRule.RESUMED, CallsAgainWithANewNumber),
+    "calls again with a new number": (HubRule.RESUMED, saying(another_number_if_repeated, Kind.ENV_STEP)),
     "counts a hello for an answer": (HubRule.WELCOME_LOST, CountsAHelloForAnAnswer),
-    "sends off with an error": (HubRule.GOODBYE, saying(Kind.GOODBYE, instead(Kind.ERROR, "full", ""))),
+    "sends off with an error": (HubRule.GOODBYE, saying(instead(Kind.ERROR, "full", ""), Kind.GOODBYE)),
     "does not say peer-lost": (HubRule.LOST, without(ErrorCode.PEER_LOST)),
-    "initialises no newcomer": (HubRule.REPLACED, InitialisesNoNewcomer),
+    "initialises no newcomer": (HubRule.REPLACED, saying(start_of_a_newcomer, Kind.NOTICE, Kind.ENV_INIT)),
 }
 
 

@@ -38,17 +38,15 @@ def frames_of(entry: dict[str, Any]) -> list[bytes]:
     return [bytes.fromhex(frame) for frame in entry["frames"]]
 
 
-def on_the_wire(entry: dict[str, Any]) -> list[bytes]:
-    """Return the frames received when the bytes of `wire` arrive one by one."""
+def received(hexadecimal: str) -> zmtp.Decoder:
+    """Return a hub's peer that has received bytes behind the handshake."""
     decoder = zmtp.Decoder(zmtp.DEALER, 2 * MAX_BODY + MAX_HEADER)
     for part in ("greeting", "ready of the hub"):
         decoder.receive_data(bytes.fromhex(VECTORS["zmtp"][part]))
     while decoder.next_event() is not None:
         pass
-    decoder.receive_data(bytes.fromhex(entry["wire"]))
-    event = decoder.next_event()
-    assert isinstance(event, list)
-    return event
+    decoder.receive_data(bytes.fromhex(hexadecimal))
+    return decoder
 
 
 def document(name: str, sender: str, receiver: str, message: Message, frames: Sequence[bytes]) -> Document:
@@ -115,7 +113,8 @@ def body_document(kind: Body, body: bytes) -> Document | None:
 @pytest.mark.parametrize("part", READ)
 def test_every_entry_decodes_to_what_it_says(part: str) -> None:
     for entry in VECTORS[part]:
-        frames, shapes = on_the_wire(entry), shapes_of(entry)
+        frames, shapes = received(entry["wire"]).next_event(), shapes_of(entry)
+        assert isinstance(frames, list)
         message = decode(frames, shapes)
         assert document(entry["name"], entry["from"], entry["to"], message, frames) == entry
         if part != "accepted":
@@ -151,22 +150,11 @@ def test_everything_to_be_refused_is_refused() -> None:
 
 def test_refused_streams_end_a_connection() -> None:
     for entry in VECTORS["zmtp"]["refused"]:
-        decoder = zmtp.Decoder(zmtp.DEALER, 2 * MAX_BODY + MAX_HEADER)
-        for part in ("greeting", "ready of the hub"):
-            decoder.receive_data(bytes.fromhex(VECTORS["zmtp"][part]))
-        while decoder.next_event() is not None:
-            pass
-        decoder.receive_data(bytes.fromhex(entry["hex"]))
         with pytest.raises(RemoteProtocolError):
-            decoder.next_event()
+            received(entry["hex"]).next_event()
 
 
 def test_a_ping_is_answered_as_said() -> None:
-    for name in ("ping", "ping with a context"):
-        decoder = zmtp.Decoder(zmtp.DEALER, 1000)
-        for part in ("greeting", "ready of the hub", name):
-            decoder.receive_data(bytes.fromhex(VECTORS["zmtp"][part]))
-        answers = []
-        while (event := decoder.next_event()) is not None:
-            answers.append(event)
-        assert answers[-1] == bytes.fromhex(VECTORS["zmtp"][name.replace("ping", "pong")])
+    for end in ("", " with a context"):
+        answer = received(VECTORS["zmtp"][f"ping{end}"]).next_event()
+        assert answer == bytes.fromhex(VECTORS["zmtp"][f"pong{end}"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 
 import pytest
 import zmq
@@ -249,6 +250,22 @@ def test_what_was_recorded_of_one_connection_opens_no_other() -> None:
         events(third, initiate)
     assert not second.ready
     assert not third.ready
+
+
+@pytest.mark.parametrize(("changed", "size"), [("hello", 202), ("initiate", 288)])
+def test_a_handshake_that_is_changed_anywhere_admits_nobody(changed: str, size: int) -> None:
+    for at in range(size):
+        decoder, client = greeted(), CurveClient(CAROL, SERVER.public)
+        sent = bytearray(command(client.hello()))
+        if changed == "initiate":
+            client.welcome(said(decoder, bytes(sent)))
+            sent = bytearray(command(client.initiate()))
+        assert len(sent) == size
+        sent[at] ^= 1
+        answered: list[object] = []
+        with suppress(RemoteProtocolError):  # not with a greater size, which waits for more
+            answered += events(decoder, bytes(sent))
+        assert (answered, decoder.ready) == ([], False), at
 
 
 def test_within_a_connection_neither_handshake_nor_message_can_be_repeated() -> None:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import re
 import struct
+from pathlib import Path
 from typing import Final
 
 import pytest
 
+import glue.testing
 from glue.engine.local import local
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.hub.io.channels import MAX_UNSEATED, MAX_UNSENT
-from glue.hub.io.server import Hub
-from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN, Switchboard
+from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.types import AbstractType, Action, Observation, body_size
-from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.codec import decode, encode
 from glue.wire.limits import MAX_BODY, MAX_HEADER, MAX_NAME
 from glue.wire.messages import (
     CALLS,
@@ -26,7 +28,6 @@ from glue.wire.messages import (
     ErrorCode,
     Event,
     Kind,
-    Message,
     Role,
     Scalar,
     Shape,
@@ -34,7 +35,6 @@ from glue.wire.messages import (
 from tests.glue.wire.examples import EXAMPLES, TEXT, Example
 from tests.pages import DOCS, blocks, rows, section
 from tests.players import ScriptedAgent, ScriptedEnvironment
-from tests.scripted.peer import ScriptedPeer, framed
 
 NOTHING: Final = "–"
 
@@ -201,36 +201,6 @@ def test_table_of_what_observers_are_shown_is_that_of_the_program() -> None:
     )
 
 
-class Sent:
-    """A route that keeps the messages sent."""
-
-    def __init__(self) -> None:
-        self.messages: list[Message] = []
-
-    def deliver(self, message: Message) -> bool:
-        self.messages.append(message)
-        return True
-
-    def admits(self, role: Role, session: str) -> bool:
-        return True
-
-
-def test_what_only_the_hub_sends_is_refused_from_a_peer() -> None:
-    for example in EXAMPLES:
-        if example.kind not in CONTROL or example.sender != "hub":
-            continue
-        board, answers = Switchboard(HubConfig(), lambda line: None), Sent()
-        hello = next(decode(e.frames, TO_HUB) for e in EXAMPLES if e.kind is Kind.HELLO)
-        board.receive(answers, hello, 0.0)
-        answers.messages.clear()
-        board.receive(answers, decode(example.frames, TO_HUB)._replace(session=hello.session), 0.0)
-
-        direction = next(row[2] for row in table(*CONTROL_HEAD) if row[1] == example.kind.name)
-        refused = [m.scalars[0] for m in answers.messages if m.kind is Kind.ERROR] == [ErrorCode.NOT_ASKED]
-        # Either side may send an ERROR, but here it answers a call that was not made.
-        assert refused == (direction.startswith("hub") or example.kind is Kind.ERROR)
-
-
 def test_tables_of_scalars_of_the_greeting_are_complete() -> None:
     hello, welcome = tables("scalar", "meaning")
 
@@ -306,29 +276,11 @@ def test_episodes_of_the_worked_table_come_out_as_said() -> None:
             assert [terminal, *map(str, counters), received] == expected
 
 
-def test_zmtp_of_the_appendix_is_understood_by_a_hub() -> None:
-    parts = []
-    for _, _, block in blocks(TEXT, "zmtp"):
-        parts.append(b"".join(bytes.fromhex(line.partition(";")[0]) for line in block.splitlines()))
-    greeting, ready, ping, pong = parts
-    (greeted,) = next(e.frames for e in EXAMPLES if e.kind is Kind.HELLO)
-    with (
-        Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub,
-        ScriptedPeer(hub.endpoints[0]).connect() as peer,
-    ):
-        peer.send_bytes(greeting)
-        theirs = peer.read(len(greeting))
-        peer.send_bytes(ready)
-        commands = [peer.read_frame()[1]]
-        peer.send_bytes(framed(greeted) + ping)
-        messages: list[bytes] = []
-        while pong[2:] not in commands or not messages:
-            flags, data = peer.read_frame()
-            (messages if flags == 0 else commands).append(data)
-
-    assert theirs[10:32] == greeting[10:32]
-    assert commands[0].startswith(b"\x05READY\x0bSocket-Type\0\0\0\x06ROUTER")
-    assert decode((messages[0],), FROM_HUB).kind is Kind.WELCOME
+def test_zmtp_of_the_appendix_is_that_of_the_vectors() -> None:
+    texts = [[line.partition(";")[0] for line in body.splitlines()] for _, _, body in blocks(TEXT, "zmtp")]
+    vectors = json.loads(Path(glue.testing.__file__).with_name("vectors.json").read_text("utf-8"))["zmtp"]
+    named = [vectors[name] for name in ("greeting", "ready", "ping", "pong")]
+    assert [bytes.fromhex("".join(lines)).hex() for lines in texts] == named
 
 
 # --- The first page -----------------------------------------------------------------------------------

@@ -145,35 +145,3 @@ def test_a_step_behind_pieces_of_another_message_needs_no_codec(without_codec: C
     assert receiver.buffered == len(plainly(step, False))
     assert receiver.next_event() == step
     assert receiver.empty
-
-
-def test_the_formats_of_a_session_are_forgotten_with_it(without_codec: Callable[[], None]) -> None:
-    sender, receiver = acquainted(Kind.ENV_STEP, True, "s", "t")
-    steps = [Message(Kind.ENV_STEP, session, 2, (), BODY) for session in ("s", "t")]
-    first, last = (b"".join(sender.encode(step)) for step in steps)
-    receiver.forget("s")
-    receiver.forget("never known")
-    assert read(receiver, first) == steps[:1]
-    without_codec()
-    assert read(receiver, last) == steps[1:]
-    with pytest.raises(CodecUsed):
-        read(receiver, first)
-
-
-def test_a_step_with_a_short_number_leaves_the_remembered_length_alone() -> None:
-    sender, receiver = acquainted(Kind.AGENT_STEP, False, "s")
-    messages = [
-        Message(Kind.AGENT_STEP, "s", seq, (), body) for seq, body in ((200, BODY), (3, LONG), (201, BODY))
-    ]
-    for message in messages:
-        assert read(receiver, b"".join(sender.encode(message))) == [message]
-
-
-def test_the_middle_of_a_message_is_never_taken_for_a_step() -> None:
-    step = plainly(Message(Kind.ENV_STEP, "s", 2, (1.0, False), BODY), False)
-    for begun in (b"\x01\x01x", b"\x01\0"):
-        _, hub = acquainted(Kind.ENV_STEP, False, "s")
-        assert read(hub, begun) == []
-        (event,) = read(hub, step)
-        assert isinstance(event, tuple)
-        assert event[0] is Malformed

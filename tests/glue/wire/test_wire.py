@@ -8,13 +8,13 @@ from typing import Any
 
 import msgpack
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, clip, decode, encode
-from glue.wire.limits import MAX_HEADER, MAX_NAME
+from glue.wire.limits import MAX_HEADER
 from glue.wire.messages import Body, Kind, Message, Scalar, Shape
 
 int32s = st.lists(st.integers(-(2**31), 2**31 - 1), max_size=5)
@@ -105,20 +105,11 @@ def test_a_header_has_at_most_4096_bytes_and_an_array_64_items() -> None:
     ("scalars", "complaint"),
     [
         ((), "has 2 scalars; 0 received"),
-        ((0.0,), "has 2 scalars; 1 received"),
-        ((0.0, False, 0), "has 2 scalars; 3 received"),
         (("1", False), "reward of ENV_STEP is a number; '1' received"),
-        ((None, False), "reward of ENV_STEP is a number; None received"),
-        ((True, False), "reward of ENV_STEP is a number; True received"),
-        ((2**53 + 1, False), "reward of ENV_STEP is a number; 9007199254740993 received"),
         ((0.0, 1.0), "terminal of ENV_STEP is true or false; 1.0 received"),
         ((0.0, None), "terminal of ENV_STEP is true or false; None received"),
         ((0.0, []), "terminal of ENV_STEP is true or false; [] received"),
         ((0.0, {}), "terminal of ENV_STEP is true or false; {} received"),
-        (
-            (0.0, msgpack.ExtType(5, b"")),
-            "terminal of ENV_STEP is true or false; ExtType(code=5, data=b'') received",
-        ),
     ],
 )
 def test_scalars_of_the_wrong_number_or_type_are_refused(scalars: tuple[Any, ...], complaint: str) -> None:
@@ -149,16 +140,10 @@ def test_an_unknown_kind_names_its_session_and_number(kind: int) -> None:
     ("frame", "complaint"),
     [
         (header(13.0, "s", 1), "a kind is a whole number"),
-        (header(True, "s", 1), "a kind is a whole number"),
         (header(13, b"s", 1), "a session is a text"),
-        (header(13, "s" * (MAX_NAME + 1), 1), "a session is a text"),
-        (header(13, "s", 2**63), "a sequence number"),
         (header(13, "s", None), "a sequence number"),
         (header(13, "s"), "a header is an array"),
         (b"\x80", "a header is an array"),
-        (b"", "not msgpack within the limits"),
-        (b"\x9f" * MAX_HEADER, "not msgpack within the limits"),
-        (b"\x81\x00" * (MAX_HEADER // 2), "not msgpack within the limits"),
         (b"\x94\x43\xa1s\x00\xd6\xff\x00\x00\x00\x00", "not msgpack within the limits"),
     ],
     ids=lambda value: value.hex() if isinstance(value, bytes) else "",
@@ -179,22 +164,6 @@ def counts(ints: int, doubles: int, chars: int, reserved: int = 0) -> bytes:
     return struct.pack("<4I", ints, doubles, chars, reserved)
 
 
-@pytest.mark.parametrize(
-    ("body", "complaint"),
-    [
-        (b"", "starts with 16 bytes of counts; 0 are"),
-        (counts(0, 0, 0)[:15], "starts with 16 bytes of counts; 15 are"),
-        (counts(1, 0, 0), "say 20 bytes; it has 16"),
-        (counts(0, 1, 0) + bytes(7), "say 24 bytes; it has 23"),
-        (counts(0, 0, 1) + bytes(2), "say 17 bytes; it has 18"),
-        (counts(0, 0, 0, reserved=1), "bytes 12 to 15 of an abstract type must be zero"),
-        (counts(2**32 - 1, 2**32 - 1, 2**32 - 1), "say 55834574851 bytes; it has 16"),
-    ],
-)
-def test_an_abstract_type_whose_counts_do_not_add_up_is_refused(body: bytes, complaint: str) -> None:
-    assert complaint in rejected(*env_step(body=body))
-
-
 def test_a_body_is_refused_by_its_size_before_anything_else() -> None:
     assert "101 bytes; 100 are allowed" in rejected(header(19, "s", 1), bytes(101), max_body=100)
 
@@ -211,21 +180,6 @@ def test_an_observation_and_an_action_are_each_within_the_limit() -> None:
     assert "are allowed" in rejected(frames[0], frames[1] + b"x", shapes=FROM_HUB, max_body=100)
 
 
-@pytest.mark.parametrize(
-    "pair",
-    [
-        b"",
-        Observation(ints=[1]).body,
-        Observation(ints=[1]).body + Action().body[:-1],
-        Observation(ints=[1]).body + Action().body + b"x",
-        counts(9, 0, 0) + Action().body,
-        counts(2**32 - 1, 0, 0) + Action().body,
-    ],
-)
-def test_an_observation_without_a_whole_action_behind_it_is_refused(pair: bytes) -> None:
-    assert "-" not in rejected(header(21, "s", 1), pair, shapes=FROM_HUB), "no negative sizes"
-
-
 # Anything at all
 
 
@@ -236,25 +190,6 @@ def either_refused_or_sound(frames: list[bytes], shapes: Mapping[Kind, Shape]) -
     except RemoteProtocolError:
         return
     assert repr(decode(encode(message, shapes), shapes)) == repr(message)
-
-
-any_header = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=2), inner, max_size=2),
-).map(msgpack.packb)
-likely_header = st.builds(
-    lambda kind, values: msgpack.packb([kind, "s", 1, *values]),
-    st.sampled_from(sorted(Kind)).map(int),
-    st.lists(st.none() | st.booleans() | st.integers(-3, 3) | st.floats() | st.just("s"), max_size=6),
-)
-frames = st.binary(max_size=60) | any_header | likely_header | observations.map(lambda o: o.body)
-
-
-@given(st.lists(frames, max_size=3), st.sampled_from([TO_HUB, FROM_HUB]))
-@example([b"\x91" * 4096], TO_HUB)
-@example([bytes(2000), bytes(2000)], TO_HUB)
-def test_random_frames_are_refused_or_sound(frames: list[bytes], shapes: Mapping[Kind, Shape]) -> None:
-    either_refused_or_sound(frames, shapes)
 
 
 @given(messages(TO_HUB), st.data())

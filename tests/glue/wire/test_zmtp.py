@@ -65,17 +65,6 @@ def test_messages_come_out_as_they_went_in_however_they_are_cut(
     assert decoder.buffered == 0
 
 
-@given(st.lists(st.binary(max_size=400), max_size=5))
-def test_random_bytes_raise_nothing_else(chunks: list[bytes]) -> None:
-    for decoder in (Decoder(ROUTER, 1000), greeted()):
-        try:
-            for chunk in chunks:
-                events(decoder, chunk)
-        except RemoteProtocolError:
-            pass
-        assert decoder.buffered <= 3 * (MAX_FRAME + 9)
-
-
 def test_a_ping_is_answered_with_its_context() -> None:
     decoder = greeted()
     assert events(decoder, b"\x04\x0a\x04PING\x00\x10abc") == [b"\x04\x08\x04PONGabc"]

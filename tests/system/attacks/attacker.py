@@ -3,7 +3,6 @@
     python -m tests.system.attacks.attacker URL SEED SECONDS [PUBLIC SECRET HUB]
 
 The three keys, in hexadecimal, are those of a peer that the hub lets in; without them nothing is encrypted.
-A line is printed when the attack begins.
 """
 
 from __future__ import annotations
@@ -27,8 +26,9 @@ from glue.types import Action, Observation
 from glue.wire.codec import TO_HUB, encode
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Message
-from tests.scripted.curve import CurveClient, Pair
-from tests.scripted.peer import ABORT, GREETING, ScriptedPeer, hello_scalars
+from tests.scripted import curve
+from tests.scripted.curve import CurveClient, Pair, command
+from tests.scripted.peer import ABORT, GREETING, ScriptedPeer, framed, hello_scalars
 
 HONEST: Final = ("one", "two", "three", "four")
 """The sessions whose names the attacker knows."""
@@ -135,6 +135,26 @@ class Attacker:
                         *_frames(kind, session, self._random.randrange(2**20), *scalars, body=_BODIES[1])
                     )
 
+    def handshake(self) -> None:
+        """Shake hands with a key, and with a byte changed somewhere in what is sent."""
+        with self._connect() as peer:
+            if peer.keys is None:
+                return
+            peer.send_bytes(curve.GREETING)
+            peer.read(len(curve.GREETING))
+            peer.send_bytes(self._changed(command(peer.keys.hello())))
+            welcome = peer.read_frame()[1]
+            if welcome.startswith(b"\x07WELCOME"):  # not to a HELLO that was changed
+                peer.keys.welcome(welcome)
+                peer.send_bytes(self._changed(command(peer.keys.initiate())))
+            peer.read_to_end()
+
+    def _changed(self, data: bytes) -> bytes:
+        """Return `data`, or the same with one byte changed."""
+        changed = bytearray(data)
+        changed[self._random.randrange(len(data))] ^= self._random.choice((0, 0, 1, 64, 255))
+        return bytes(changed)
+
     def half(self) -> None:
         """Leave in the middle of a large frame, as the agent of a session of its own."""
         with self._greet() as peer:
@@ -151,9 +171,9 @@ class Attacker:
             peer.send_bytes(bytes((flags,)) + struct.pack(">Q", size) + bytes(2**16))
 
     def endless(self) -> None:
-        """Send a message that never ends."""
+        """Send a message that never ends, or nothing but noise."""
         with self._greet() as peer:
-            peer.send_bytes(b"\x01\x00" * 50_000)
+            peer.send_bytes(self._random.choice((b"\x01\x00", framed(b"x"))) * 50_000)
 
     def flood(self) -> None:
         """Send many messages as an experiment, and read nothing."""
@@ -179,6 +199,7 @@ _MOVES: Final[tuple[Callable[[Attacker], None], ...]] = (
     Attacker.slow,
     Attacker.malformed,
     Attacker.pose,
+    Attacker.handshake,
     Attacker.half,
     Attacker.oversized,
     Attacker.endless,
@@ -192,7 +213,6 @@ def _main(url: str, seed: str, seconds: str, *keys: str) -> None:
     until = time.monotonic() + float(seconds)
     attackers = [Attacker(url, f"{seed}-{i}", tuple(map(bytes.fromhex, keys))) for i in range(_AT_ONCE)]
     threads = [threading.Thread(target=attacker.attack, args=(until,)) for attacker in attackers]
-    print("attacking", flush=True)
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -1,20 +1,16 @@
-"""A hub with four honest sessions, in turn alone and under attack:
+"""A hub with four honest sessions under attack:
 
     python -m tests.system.attacks.siege SECONDS [keys]
 
-The attacker has `SECONDS` in all, in turns. Before each turn the sessions play a quarter as long alone, so
-that other work on the machine affects both speeds alike. The hub's processor time hardly depends on it.
+The attacker has `SECONDS` in all, in turns. How fast sessions are beside attackers measures
+`python -m benchmarks attacks`.
 """
 
 from __future__ import annotations
 
-import os
-import statistics
-import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -68,15 +64,13 @@ class Honest:
         url: address of the hub.
         session: name of the session.
         keys: named arguments of `connect`.
-        pause: seconds between two episodes.
 
     Attributes:
         played: number of episodes that have ended.
     """
 
-    def __init__(self, url: str, session: str, keys: Mapping[str, Any], pause: float = 0.0) -> None:
+    def __init__(self, url: str, session: str, keys: Mapping[str, Any]) -> None:
         self.played = 0
-        self._pause = pause
         self._returns: deque[float] = deque()
         self._ended = threading.Event()
         self._stop = threading.Event()
@@ -94,7 +88,6 @@ class Honest:
                 self._returns.append(glue.rl_return())
                 self.played += 1
                 self._ended.set()
-                self._stop.wait(self._pause)
 
     def check(self) -> None:
         """Assert that episodes have ended since the last check, with the same returns as the twin's."""
@@ -113,7 +106,7 @@ class Honest:
 
 
 def besiege(seconds: float, keyed: bool, folder: Path) -> None:
-    """Attack a hub, assert that its memory is bounded and its sessions continue, and print their speed.
+    """Attack a hub; assert that its memory is bounded and its sessions continue as if alone.
 
     Args:
         seconds: duration of the attack.
@@ -122,34 +115,23 @@ def besiege(seconds: float, keyed: bool, folder: Path) -> None:
     """
     keys, ours, theirs = make_keys(folder) if keyed else (None, {}, ())
     with victim(keys=keys, max_memory=LIMIT, greeting=1.0) as hub, ExitStack() as stack:
-        url, process, idle = hub.url, hub.process, hub.begin()
+        url, idle = hub.url, hub.begin()
         files = [str(ours.get(name, "")) for name in ("key", "hub_key")]
         stack.enter_context(players(url, HONEST, files))
         sessions = [Honest(url, name, ours) for name in HONEST]
         for session in sessions:
             session.check()
         turns = max(1, round(seconds / _TURN))
-        ratios, times = [], []
         for turn in range(1, turns + 1):
-            alone, time_alone = _speed(process, sessions, seconds / turns / 4)
             attacker = ["-m", "tests.system.attacks.attacker", url, str(turn)]
             with running(*attacker, str(seconds / turns), *theirs) as attack:
-                assert attack.stdout is not None
-                attack.stdout.readline()
-                beside, time_beside = _speed(process, sessions, seconds / turns)
-                _, errors = attack.communicate(timeout=TIMEOUT)
+                _, errors = attack.communicate(timeout=seconds / turns + TIMEOUT)
                 assert (attack.returncode, errors) == (0, "")
             for session in sessions:
                 session.check()
             assert hub.most() - idle <= LIMIT + BESIDE
-            ratios.append(beside / alone)
-            times.append(time_beside / time_alone)
             print(
-                f"turn {turn} of {turns}: {beside:.0f} episodes per second, {alone:.0f} alone, "
-                f"ratio {ratios[-1]:.2f}, median {statistics.median(ratios):.2f}; "
-                f"{1000 * time_beside:.2f} ms of the hub per episode, {1000 * time_alone:.2f} alone, "
-                f"ratio {times[-1]:.2f}, median {statistics.median(times):.2f}; "
-                f"{sum(session.played for session in sessions)} episodes as if alone, "
+                f"turn {turn} of {turns}: {sum(session.played for session in sessions)} episodes as alone, "
                 f"at most {hub.most() / 2**20:.0f} MiB",
                 flush=True,
             )
@@ -173,26 +155,6 @@ def make_keys(folder: Path) -> tuple[Path, dict[str, Any], tuple[str, ...]]:
         {"key": carol, "hub_key": keys.hub_key},
         (own.pair.public.hex(), own.pair.secret.hex(), own.hub.hex()),
     )
-
-
-def _speed(process: subprocess.Popen[str], sessions: list[Honest], seconds: float) -> tuple[float, float]:
-    """Let all sessions play; return the episodes in a second, and the hub's seconds per episode.
-
-    On a busy machine it may take longer until the first episode has ended.
-    """
-    before, used = sum(session.played for session in sessions), _used(process)
-    began = time.monotonic()
-    time.sleep(seconds)
-    while not (episodes := sum(session.played for session in sessions) - before):
-        assert time.monotonic() < began + seconds + TIMEOUT, "all sessions stand still"
-        time.sleep(0.1)
-    return episodes / (time.monotonic() - began), (_used(process) - used) / episodes
-
-
-def _used(process: subprocess.Popen[str]) -> float:
-    """Return the processor time of a process, in seconds."""
-    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _main(seconds: str, keyed: str = "") -> None:

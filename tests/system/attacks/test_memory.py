@@ -1,4 +1,7 @@
-"""Whatever peers make a hub keep, its process holds no more than its limit and a little beside it."""
+"""Whatever peers make a hub keep, its process holds no more than its limit and a little beside it.
+
+That a session accounts for every body that it keeps is weighed in `tests/glue/hub/test_memory.py`.
+"""
 
 from __future__ import annotations
 
@@ -78,48 +81,6 @@ class Peer(ScriptedPeer):
         return message
 
 
-def observation_over_agent_end(attack: Attack, name: str) -> None:
-    """An environment's last observation waits until the agent has heard of the end."""
-    environment, _, experiment = attack.session(name)
-    experiment.say(Kind.RL_STEP, 1)
-    environment.answer(attack.huge, 1.0, True)
-    environment.wait()
-
-
-def replaced(attack: Attack, name: str) -> tuple[Peer, Peer]:
-    """Return the environment and the experiment of a session whose agent has been replaced."""
-    environment, agent, experiment = attack.session(name)
-    experiment.say(Kind.RL_INIT, 1, None)
-    environment.answer(b"a task")
-    agent.answer()
-    agent.say(Kind.GOODBYE, 0, "enough")
-    while experiment.following().scalars[:1] != ("lost",):
-        pass
-    attack.peer("agent", name)
-    return environment, experiment
-
-
-def observation_for_a_replaced_agent(attack: Attack, name: str) -> None:
-    """What an agent is asked waits until it is initialised."""
-    environment, experiment = replaced(attack, name)
-    experiment.say(Kind.RL_START, 2)
-    environment.answer(attack.huge)
-    environment.wait()
-
-
-def message_for_a_replaced_agent(attack: Attack, name: str) -> None:
-    _, experiment = replaced(attack, name)
-    experiment.say(Kind.RL_AGENT_MESSAGE, 2, body=attack.huge)
-    experiment.wait()
-
-
-def task_spec(attack: Attack, name: str) -> None:
-    environment, experiment = attack.peer("environment", name), attack.peer("experiment", name)
-    experiment.say(Kind.RL_INIT, 1, None)
-    environment.answer(attack.huge)
-    environment.wait()
-
-
 def watched(attack: Attack, name: str) -> tuple[Peer, Peer, Peer]:
     """Return the peers of a session that eight observers watch without reading."""
     environment, agent, experiment = attack.session(name)
@@ -135,13 +96,6 @@ def observers_of_a_step(attack: Attack, name: str) -> None:
     experiment.say(Kind.RL_ENV_STEP, 1, body=attack.huge)
     environment.answer(attack.huge, 1.0, False)
     environment.wait()
-
-
-def observers_of_an_answer(attack: Attack, name: str) -> None:
-    _, agent, experiment = watched(attack, name)
-    experiment.say(Kind.RL_AGENT_MESSAGE, 1)
-    agent.answer(attack.huge)
-    agent.wait()
 
 
 def experiment_that_does_not_read(attack: Attack, name: str) -> None:
@@ -189,12 +143,7 @@ def half_a_message_before_leaving(attack: Attack, name: str) -> None:
 
 
 ATTACKS: dict[Callable[[Attack, str], object], int] = {
-    observation_over_agent_end: 10,
-    observation_for_a_replaced_agent: 10,
-    message_for_a_replaced_agent: 10,
-    task_spec: 10,
     observers_of_a_step: 1,
-    observers_of_an_answer: 2,
     experiment_that_does_not_read: 6,
     agent_that_does_not_read: 10,
     light_sessions: 12,

@@ -48,15 +48,14 @@ class Victim:
 
 
 @contextmanager
-def victim(*, keys: Path | None = None, log_is_read: bool = True, **settings: float) -> Iterator[Victim]:
+def victim(*, keys: Path | None = None, **settings: float) -> Iterator[Victim]:
     """Start a hub, which waits long for a HELLO and for peers that do not answer."""
     settings = {"timeout": 60.0, "greeting": 60.0, "farewell": 0.1} | settings
     arguments = [json.dumps(settings), *([] if keys is None else [str(keys)])]
     with running("-m", "tests.system.attacks.victim", *arguments) as process:
         url = address(process)
-        if log_is_read:
-            assert process.stderr is not None
-            threading.Thread(target=process.stderr.read, daemon=True).start()
+        assert process.stderr is not None
+        threading.Thread(target=process.stderr.read, daemon=True).start()
         yield Victim(url, process)
         assert process.poll() is None, "the hub has died"
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,68 +20,21 @@ from glue import make, make_agent
 from glue.client.experiment import connect
 from glue.client.players import serve_agent, serve_environment
 from glue.errors import GlueError
-from glue.hub.config import Bind, HubConfig
-from glue.hub.io.server import Hub
-from glue.keys.allowed import read_keys
 from tests import forked
 from tests.keyed import KeyFolder
 from tests.scripted.peer import TIMEOUT
-from tests.system.keys.handshakes import keyed_hub, run
-from tests.system.proxy import Proxy
-from tests.system.runs import COMMAND, start, wait_until
+from tests.system.runs import start, wait_until
+from tests.terminal import Terminal
 
-EPISODES = 30
 NOBODY = 65534
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> KeyFolder:
-    return KeyFolder(tmp_path)
-
-
-def play(hub: str, between: Callable[[int], None], **keys: Any) -> tuple[list[tuple[float, int]], bytes]:
-    """Return all results of a run of three peers, and the agent's save at the end."""
-
-    def serve(serve_one: Callable[..., str], player: object) -> None:
-        with suppress(GlueError):
-            serve_one(player, hub, **keys)
-
-    for pair in ((serve_agent, make_agent("sarsa")), (serve_environment, make("mines"))):
-        threading.Thread(target=serve, args=pair, daemon=True).start()
-    results = []
-    with connect(hub, **keys) as glue:
-        glue.rl_init(seed=7)
-        for number in range(EPISODES):
-            between(number)
-            glue.rl_episode(500)
-            results.append((glue.rl_return(), glue.rl_num_steps()))
-        return results, glue.rl_agent_save()
-
-
-def test_a_run_with_keys_is_the_run_without_even_if_the_network_breaks(folder: KeyFolder) -> None:
-    key = folder.entrant("carol")
-    folder.allow('[carol]\nrole = ["agent", "environment", "experiment"]')
-    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub:
-        plain = play(hub.endpoints[0], lambda number: None)
-    bind = Bind("tcp://127.0.0.1:*", keys=read_keys(folder.path))
-    with Hub(HubConfig(bind=(bind,), heartbeat=0.05)).in_background() as hub:
-        port = int(hub.endpoints[0].rpartition(":")[2])
-        with Proxy(port).in_background() as proxy:
-
-            def cut(number: int) -> None:
-                if number % 10 == 5:
-                    proxy.shut()
-                    proxy.open()
-
-            keyed = play(proxy.url, cut, key=key, hub_key=folder.hub_key)
-    assert keyed == plain
-    assert len(set(plain[0])) > EPISODES // 2
-
-
-@pytest.mark.stage("keys")
-def test_mutated_handshakes_open_nothing_and_disturb_nobody(tmp_path: Path) -> None:
-    # A stage of .ci/run tries 10^5 of them.
-    assert "nothing in" in run(200, tmp_path)
+@contextmanager
+def keyed_hub(keys: KeyFolder) -> Iterator[tuple[Terminal, str]]:
+    """Run a hub with keys; yield it and its address."""
+    options = ("--bind", "tcp://127.0.0.1:*", "--keys", str(keys.path))
+    with closing(Terminal("glue-hub", *options, cwd=keys.path)) as hub:
+        yield hub, hub.wait_for(r"listening on (\S+)")[1]
 
 
 def glue_keys(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -91,19 +42,18 @@ def glue_keys(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.stage("keys")
-def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:
+def test_a_key_from_its_making_to_its_use(tmp_path: Path) -> None:
     made = glue_keys("new", "carol", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     assert "carol.key_secret: the secret key. Give it to nobody" in made.stderr
     assert "carol.key: the public key. Give it to whoever runs the hub" in made.stderr
     assert glue_keys("show", "carol.key_secret", cwd=tmp_path).stdout == made.stdout
     keys = KeyFolder(tmp_path)
-    keys.entrant("erin")
     # Her file is named as other programs name it, and holds only the key.
     (keys.path / "carol.pub").write_text(made.stdout)
     carol = '[carol]\nrole = ["agent", "environment", "experiment"]\nsession = "a"\n'
     keys.allow(carol)
-    with keyed_hub(keys, tmp_path / "log") as (hub, url):
+    with keyed_hub(keys) as (_, url):
         environment = {
             **os.environ,
             "GLUE_HUB": url,
@@ -111,22 +61,10 @@ def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:
             "GLUE_KEY": "carol.key_secret",
             "GLUE_HUB_KEY": str(keys.hub_key),
         }
-        command = [*COMMAND, "--env", "mines", "--agent", "random", "--episodes", "2", "--out", "run"]
-        run_here = {"cwd": tmp_path, "capture_output": True, "text": True, "timeout": TIMEOUT}
-        done = subprocess.run(command, env=environment, **run_here)  # type: ignore[call-overload]
+        players = ("--env", "mines", "--agent", "random", "--episodes", "2", "--out", "run")
+        done = forked.run("glue-experiment", *players, cwd=tmp_path, env=environment, timeout=TIMEOUT)
         assert done.returncode == 0, done.stderr
         assert "2/2" in done.stdout
-        agent = [sys.executable, "-c", "from agents.cli.agent import main; main()", "random"]
-        keys.allow('[erin]\nrole = "agent"\n')
-        hub.send_signal(signal.SIGHUP)
-        wait_until(lambda: "read again: 1 key may join" in (tmp_path / "log").read_text(), "the new list")
-        refused = subprocess.run(agent, env=environment, **run_here)  # type: ignore[call-overload]
-        assert refused.returncode == 1
-        assert f"Error: the hub at {url} does not know your key, {made.stdout.strip()} in" in refused.stderr
-        (tmp_path / "carol.key_secret").chmod(0o644)
-        refused = subprocess.run(agent, env=environment, **run_here)  # type: ignore[call-overload]
-        assert refused.returncode == 2
-        assert "chmod 600 carol.key_secret" in refused.stderr
 
 
 def test_a_hub_takes_no_list_that_others_can_write(tmp_path: Path) -> None:
@@ -140,15 +78,15 @@ def test_a_hub_takes_no_list_that_others_can_write(tmp_path: Path) -> None:
     assert refused.returncode == 2, refused.stderr
     assert f"chmod go-w {listed}" in refused.stderr
     listed.chmod(0o644)
-    with keyed_hub(keys, tmp_path / "log") as (hub, _):
+    with keyed_hub(keys) as (hub, _):
         listed.rename(tmp_path / "list")
         listed.symlink_to(tmp_path / "list")
         (tmp_path / "list").chmod(0o664)
         hub.send_signal(signal.SIGHUP)
-        wait_until(lambda: "the keys stay as they were" in (tmp_path / "log").read_text(), "the refusal")
+        hub.wait_for("the keys stay as they were")
         (tmp_path / "list").chmod(0o644)
         hub.send_signal(signal.SIGHUP)
-        wait_until(lambda: "read again: 1 key may join" in (tmp_path / "log").read_text(), "the new list")
+        hub.wait_for("read again: 1 key may join")
 
 
 def spoiled(keys: KeyFolder) -> Iterator[str]:
@@ -188,28 +126,20 @@ def test_keys_that_cannot_be_read_cost_one_line_and_change_nothing(tmp_path: Pat
     keys = KeyFolder(folder)
     carol = keys.entrant("carol")
     keys.allow('[carol]\nrole = "experiment"\n')
-    log = tmp_path / "log"
-    with keyed_hub(keys, log) as (hub, url), connect(url, "s", key=carol, hub_key=keys.hub_key) as glue:
+    with keyed_hub(keys) as (hub, url), connect(url, "s", key=carol, hub_key=keys.hub_key) as glue:
         glue.rl_num_episodes()
         for number, name in enumerate(spoiled(keys), 1):
-            refused = forked.run(
-                "glue-hub",
-                "--bind",
-                "tcp://127.0.0.1:*",
-                "--keys",
-                str(keys.path),
-                cwd=tmp_path,
-                timeout=TIMEOUT,
-            )
+            options = ("--bind", "tcp://127.0.0.1:*", "--keys", str(keys.path))
+            refused = forked.run("glue-hub", *options, cwd=tmp_path, timeout=TIMEOUT)
             assert (refused.returncode, "Traceback" in refused.stderr) == (2, False), (name, refused.stderr)
             hub.send_signal(signal.SIGHUP)
-            wait_until(lambda: log.read_text().count("the keys stay as they were") == number, name)  # noqa: B023
+            wait_until(lambda: "\n".join(hub.lines).count("stay as they were") == number, name)  # noqa: B023
             assert glue.rl_num_episodes() == 0
-        before = len(log.read_text().splitlines())
+        before = len(hub.lines)
         hub.send_signal(signal.SIGHUP)
-        wait_until(lambda: "read again: 1 key may join" in log.read_text(), "the list as it was")
-        assert len(log.read_text().splitlines()) == before + 1
-        assert "Traceback" not in log.read_text()
+        hub.wait_for("read again: 1 key may join")
+        assert len(hub.lines) == before + 1
+        assert "Traceback" not in "\n".join(hub.lines)
 
 
 @contextmanager
@@ -248,14 +178,12 @@ def listening(pid: int) -> set[str]:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
-def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(tmp_path: Path) -> None:
+def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with open_temporary_directory() as temporary:
-        os.environ["TMPDIR"] = str(temporary)
-        try:
-            process = start("--env", "mines", "--agent", "random", "--episodes", "1000000", cwd=tmp_path)
-        finally:
-            del os.environ["TMPDIR"]
-        with process:
+        monkeypatch.setenv("TMPDIR", str(temporary))
+        with start("--env", "mines", "--agent", "random", "--episodes", "1000000", cwd=tmp_path) as process:
             wait_until(lambda: list(temporary.glob("glue-*/hub")), "the meeting place")
             [path] = temporary.glob("glue-*/hub")
             assert path.parent.stat().st_mode & 0o777 == 0o700
@@ -272,28 +200,19 @@ def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(tmp_
 @pytest.mark.stage("keys")
 def test_who_else_can_join_is_said_where_players_from_outside_are_expected(tmp_path: Path) -> None:
     outside = ("--env", "mines", "--episodes", "1", "--bind", "tcp://127.0.0.1:*")
-    with start(*outside, cwd=tmp_path) as process:
-        assert process.stderr is not None
-        said = ""
-        deadline = time.monotonic() + TIMEOUT
-        while "open to every user of this machine" not in said and time.monotonic() < deadline:
-            said += process.stderr.readline()
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=TIMEOUT)
-    assert "open to every user of this machine, unless keys" in said
+    with closing(Terminal("glue-experiment", *outside, cwd=tmp_path)) as experiment:
+        experiment.wait_for("open to every user of this machine, unless keys")
 
 
 def test_an_experiment_with_keys_lets_only_them_in(tmp_path: Path) -> None:
     keys = KeyFolder(tmp_path)
     carol, erin = keys.entrant("carol"), keys.entrant("erin")
     keys.allow('[carol]\nrole = ["agent", "environment"]\n[erin]\nrole = "environment"\n')
-    outside = ("--env", "mines", "--episodes", "2", "--bind", "tcp://127.0.0.1:*", "--keys", keys.path)
-    with start(*outside, "--out", "run", cwd=tmp_path) as process:
-        assert process.stderr is not None
-        while "--hub tcp" not in (line := process.stderr.readline()):
-            assert process.poll() is None
-        assert f"--key THEIRS.key_secret --hub-key {keys.hub_key}" in line
-        url = line.partition("--hub ")[2].split()[0]
+    outside = ("--env", "mines", "--episodes", "2", "--bind", "tcp://127.0.0.1:*", "--keys", str(keys.path))
+    with closing(Terminal("glue-experiment", *outside, "--out", "run", cwd=tmp_path)) as experiment:
+        url = experiment.wait_for(
+            rf"--hub (tcp\S+) .*--key THEIRS.key_secret --hub-key {re.escape(str(keys.hub_key))}"
+        )[1]
         refusal = "may join at this address of the hub, or with this key"
         with pytest.raises(GlueError, match=refusal):
             serve_agent(make_agent("random"), url, key=erin, hub_key=keys.hub_key)
@@ -301,6 +220,5 @@ def test_an_experiment_with_keys_lets_only_them_in(tmp_path: Path) -> None:
             serve_environment(make("mines"), url, key=carol, hub_key=keys.hub_key)
         reason = serve_agent(make_agent("random"), url, key=carol, hub_key=keys.hub_key)
         assert reason == "the experiment is over"
-        output, _ = process.communicate(timeout=TIMEOUT)
-    assert process.returncode == 0
-    assert "2/2" in output
+        assert experiment.end() == 0
+        experiment.wait_for("2/2")

@@ -12,7 +12,7 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -250,8 +250,20 @@ class Connection:
         self._socket.close()
 
 
+Answers = Mapping[int, Callable[[bytes], bytes | str | None]]
+"""A player's answer to each message of the server: a payload, or a text that is still to be packed."""
+
+
 class Die(Exception):
     """Raised by a program to have its connection reset instead of an answer sent."""
+
+
+def _shown(payload: bytes, offset: int = 0) -> Observation:
+    return Observation(*unpack_numbers(payload, offset)[0])
+
+
+def _packed(value: AbstractType) -> bytes:
+    return pack_numbers(to_numbers(value))
 
 
 def play_agent(agent: Agent, connection: Connection) -> None:
@@ -260,33 +272,17 @@ def play_agent(agent: Agent, connection: Connection) -> None:
     Raises:
         Closed: the server closed the connection without a goodbye.
     """
-
-    def answer(message_id: int, payload: bytes) -> None:
-        match message_id:
-            case Id.AGENT_INIT:
-                agent.agent_init(unpack_text(payload))
-                connection.send(message_id)
-            case Id.AGENT_START:
-                connection.send(
-                    message_id,
-                    pack_numbers(to_numbers(agent.agent_start(Observation(*unpack_numbers(payload)[0])))),
-                )
-            case Id.AGENT_STEP:
-                (reward,) = struct.unpack_from(">d", payload)
-                observation = Observation(*unpack_numbers(payload, 8)[0])
-                connection.send(message_id, pack_numbers(to_numbers(agent.agent_step(reward, observation))))
-            case Id.AGENT_END:
-                agent.agent_end(*struct.unpack_from(">d", payload))
-                connection.send(message_id)
-            case Id.AGENT_CLEANUP:
-                agent.agent_cleanup()
-                connection.send(message_id)
-            case Id.AGENT_MESSAGE:
-                connection.send_text(message_id, agent.agent_message(unpack_text(payload)))
-            case _:
-                raise AssertionError(f"the server sent an agent message {message_id}")
-
-    _serve(Id.AGENT_CONNECTION, connection, answer)
+    answers: Answers = {
+        Id.AGENT_INIT: lambda payload: agent.agent_init(unpack_text(payload)),
+        Id.AGENT_START: lambda payload: _packed(agent.agent_start(_shown(payload))),
+        Id.AGENT_STEP: lambda payload: _packed(
+            agent.agent_step(struct.unpack_from(">d", payload)[0], _shown(payload, 8))
+        ),
+        Id.AGENT_END: lambda payload: agent.agent_end(*struct.unpack(">d", payload)),
+        Id.AGENT_CLEANUP: lambda payload: agent.agent_cleanup(),
+        Id.AGENT_MESSAGE: lambda payload: agent.agent_message(unpack_text(payload)),
+    }
+    _serve(Id.AGENT_CONNECTION, connection, answers)
 
 
 def play_environment(environment: Environment, connection: Connection) -> None:
@@ -296,29 +292,21 @@ def play_environment(environment: Environment, connection: Connection) -> None:
         Closed: the server closed the connection without a goodbye.
     """
 
-    def answer(message_id: int, payload: bytes) -> None:
-        match message_id:
-            case Id.ENV_INIT:
-                connection.send_text(message_id, environment.env_init())
-            case Id.ENV_START:
-                connection.send(message_id, pack_numbers(to_numbers(environment.env_start())))
-            case Id.ENV_STEP:
-                action = Action(*unpack_numbers(payload)[0])
-                reward, observation, terminal, *_ = environment.env_step(action)
-                numbers = pack_numbers(to_numbers(observation))
-                connection.send(message_id, struct.pack(">id", terminal, reward) + numbers)
-            case Id.ENV_CLEANUP:
-                environment.env_cleanup()
-                connection.send(message_id)
-            case Id.ENV_MESSAGE:
-                connection.send_text(message_id, environment.env_message(unpack_text(payload)))
-            case _:
-                raise AssertionError(f"the server sent an environment message {message_id}")
+    def step(payload: bytes) -> bytes:
+        reward, observation, terminal, *_ = environment.env_step(Action(*unpack_numbers(payload)[0]))
+        return struct.pack(">id", terminal, reward) + _packed(observation)
 
-    _serve(Id.ENVIRONMENT_CONNECTION, connection, answer)
+    answers: Answers = {
+        Id.ENV_INIT: lambda payload: environment.env_init(),
+        Id.ENV_START: lambda payload: _packed(environment.env_start()),
+        Id.ENV_STEP: step,
+        Id.ENV_CLEANUP: lambda payload: environment.env_cleanup(),
+        Id.ENV_MESSAGE: lambda payload: environment.env_message(unpack_text(payload)),
+    }
+    _serve(Id.ENVIRONMENT_CONNECTION, connection, answers)
 
 
-def _serve(role: Id, connection: Connection, answer: Callable[[int, bytes], None]) -> None:
+def _serve(role: Id, connection: Connection, answers: Answers) -> None:
     connection.send(role)
     try:
         while True:
@@ -327,7 +315,13 @@ def _serve(role: Id, connection: Connection, answer: Callable[[int, bytes], None
                 assert payload == b""
                 connection.farewell()
                 break
-            answer(message_id, payload)
+            answer = answers[message_id](payload)
+            if message_id in (Id.ENV_INIT, Id.ENV_MESSAGE, Id.AGENT_MESSAGE):
+                assert not isinstance(answer, bytes)
+                connection.send_text(message_id, answer)
+            else:
+                assert not isinstance(answer, str)
+                connection.send(message_id, answer or b"")
     except Die:
         connection.reset()
     finally:
@@ -425,11 +419,6 @@ class Experiment:
     def agent_end(self, reward: float) -> None:
         """RL_agent_end."""
         assert self._ask(Id.RL_AGENT_END, struct.pack(">d", reward)) == b""
-
-    def terminate(self) -> None:
-        """Send id 35, which no original codec sends but the server understands; the server then closes."""
-        assert self._ask(Id.RL_TERM) == b""
-        assert self.connection.receive_until_closed() == b""
 
     def close(self) -> None:
         """Leave without a goodbye, as the original experiments do."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import pytest
 import zmq
 
 from glue.client.experiment import RemoteExperiment, connect
@@ -15,20 +16,15 @@ from glue.client.players import serve_agent, serve_environment
 from glue.engine.experiment import Experiment
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
+from glue.legacy import peers
 from glue.legacy.gateway import Gateway
+from glue.legacy.peers import LegacyPeer
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation
 from glue.wire.limits import MAX_BODY
-from glue.wire.messages import Kind, Value
+from glue.wire.messages import Kind, Message, Value
 from tests.system.legacy import legacy_client
-from tests.system.legacy.legacy_client import (
-    STYLES,
-    TIMEOUT,
-    Connection,
-    Style,
-    play_agent,
-    play_environment,
-)
+from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, Style, play_agent, play_environment
 from tests.system.runs import wait_until
 
 C = STYLES["c"]
@@ -165,7 +161,7 @@ def gateway(
     Only a test that waits for the end of `timeout` sets it, and then no other program joins that hub.
     """
     log = Log()
-    with zmq.Context() as context:
+    with _true_accounts(), zmq.Context() as context:
         config = HubConfig(
             ("tcp://127.0.0.1:*",), min(0.2, timeout / 4), timeout, max_body=max_body, max_memory=max_memory
         )
@@ -177,6 +173,43 @@ def gateway(
                 yield rig
         finally:
             rig.join()
+
+
+@contextmanager
+def _true_accounts() -> Iterator[None]:
+    """Check that the memory of each program is accounted for after each of its turns and messages."""
+    wrong: list[str] = []
+    at_work: list[LegacyPeer] = []
+    turn, deliver = LegacyPeer.ready, LegacyPeer.deliver
+
+    def check(peer: LegacyPeer) -> None:
+        connection = peer._connection
+        kept = peer._decoder.buffered + connection.unsent + peer._kept()
+        used = 0 if connection.closed else peers._BASE + kept
+        held = peer._switchboard.memory.held.get(peer, 0)
+        if held != used:
+            wrong.append(f"{type(peer).__name__} uses {used} bytes and accounts for {held}")
+
+    def checked_turn(peer: LegacyPeer, now: float) -> None:
+        at_work.append(peer)
+        try:
+            turn(peer, now)
+        finally:
+            at_work.remove(peer)
+        check(peer)
+
+    def checked_delivery(peer: LegacyPeer, message: Message) -> bool:
+        open_before = not peer._connection.closed
+        delivered = deliver(peer, message)
+        if open_before and peer not in at_work:
+            check(peer)
+        return delivered
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(LegacyPeer, "ready", checked_turn)
+        patched.setattr(LegacyPeer, "deliver", checked_delivery)
+        yield
+    assert not wrong
 
 
 class DisguisedExperiment(Experiment):

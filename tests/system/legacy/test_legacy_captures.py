@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import socket
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -13,17 +12,11 @@ import pytest
 
 from tests.scripted.peer import ScriptedPeer
 from tests.system.conformance import FiveStepEnvironment, MirrorAgent
-from tests.system.legacy.legacy_rig import Rig, gateway
+from tests.system.legacy.legacy_rig import Rig
 
 CAPTURES = sorted((Path(__file__).parents[2] / "golden" / "captures").glob("*.json"))
 OF_A1_AND_E1 = [path for path in CAPTURES if path.stem in ("c_test_sanity", "c_test_1", "c_test_rl_episode")]
 ROLES = ("agent", "environment", "experiment")
-
-
-@pytest.fixture
-def rig() -> Iterator[Rig]:
-    with gateway() as rig:
-        yield rig
 
 
 def play(client: ScriptedPeer, event: dict[str, Any]) -> None:

@@ -12,7 +12,6 @@ import pytest
 
 from experiment_runner.cli.experiment import experiment
 from glue.cli.hub import hub
-from glue.errors import Unsupported
 from glue.legacy import bodies, codec, pending
 from glue.legacy.experiment import READ_AHEAD
 from glue.roles import Agent
@@ -133,10 +132,3 @@ def test_an_original_experiment_and_environment_are_shown_no_terminal_after_a_tr
             assert (glue.episode(3), glue.num_steps()) == (0, 3)
         glue.close()
     assert [call.split()[0] for call in environment.calls[1:]] == ["env_start", "env_step", "env_step"] * 2
-
-
-def test_an_original_player_cannot_be_saved() -> None:
-    with gateway() as rig:
-        rig.agent(MirrorAgent())
-        with rig.native() as glue, pytest.raises(Unsupported):
-            glue.rl_agent_save()

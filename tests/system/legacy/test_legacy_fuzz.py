@@ -99,20 +99,6 @@ def asked(role: Id, request: Id, payload: bytes, call: Id) -> Scene:
     return scene
 
 
-def asked_after_environment(request: Id, before: Id, payload: bytes, call: Id) -> Scene:
-    """Return a scene: an agent at work on `call`, which follows a call to the environment."""
-
-    def scene(arena: Arena) -> Connection:
-        agent, environment = arena.join(Id.AGENT_CONNECTION), arena.join(Id.ENVIRONMENT_CONNECTION)
-        arena.join(Id.EXPERIMENT_CONNECTION).send(request)
-        assert environment.receive()[0] == before
-        environment.send(before, payload)
-        assert agent.receive()[0] == call
-        return agent
-
-    return scene
-
-
 def dismissed(arena: Arena) -> Connection:
     """An agent whose answer is no longer needed."""
     agent, glue = arena.join(Id.AGENT_CONNECTION), arena.join(Id.EXPERIMENT_CONNECTION)
@@ -137,34 +123,18 @@ def waiting(arena: Arena) -> Connection:
     return glue
 
 
-def waiting_for_a_player(arena: Arena) -> Connection:
-    """An experiment whose call no player can answer."""
-    glue = arena.join(Id.EXPERIMENT_CONNECTION)
-    glue.send(Id.RL_EPISODE, bytes(4))
-    return glue
-
-
 AGENT, ENVIRONMENT, EXPERIMENT = Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION
 SCENES: dict[str, Scene] = {
     "without a role": unknown,
     "agent, idle": idle(AGENT),
-    "agent, init": asked_after_environment(Id.RL_INIT, Id.ENV_INIT, TEXT, Id.AGENT_INIT),
-    "agent, start": asked(AGENT, Id.RL_AGENT_START, EMPTY, Id.AGENT_START),
     "agent, step": asked(AGENT, Id.RL_AGENT_STEP, bytes(8) + EMPTY, Id.AGENT_STEP),
-    "agent, end": asked(AGENT, Id.RL_AGENT_END, bytes(8), Id.AGENT_END),
-    "agent, cleanup": asked_after_environment(Id.RL_CLEANUP, Id.ENV_CLEANUP, b"", Id.AGENT_CLEANUP),
     "agent, message": asked(AGENT, Id.RL_AGENT_MESSAGE, TEXT, Id.AGENT_MESSAGE),
     "agent, dismissed": dismissed,
     "agent, abandoned": abandoned,
     "environment, idle": idle(ENVIRONMENT),
-    "environment, init": asked(ENVIRONMENT, Id.RL_INIT, b"", Id.ENV_INIT),
     "environment, start": asked(ENVIRONMENT, Id.RL_START, b"", Id.ENV_START),
-    "environment, step": asked(ENVIRONMENT, Id.RL_STEP, b"", Id.ENV_STEP),
-    "environment, cleanup": asked(ENVIRONMENT, Id.RL_CLEANUP, b"", Id.ENV_CLEANUP),
-    "environment, message": asked(ENVIRONMENT, Id.RL_ENV_MESSAGE, TEXT, Id.ENV_MESSAGE),
     "experiment, idle": idle(EXPERIMENT),
     "experiment, waiting": waiting,
-    "experiment, alone": waiting_for_a_player,
 }
 
 int32 = st.integers(-(2**31), 2**31 - 1)

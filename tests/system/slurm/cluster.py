@@ -17,38 +17,8 @@ import pytest
 
 _PROGRAMS: Final = ("munged", "slurmctld", "slurmd", "sbatch")
 
-_CONFIG: Final = """\
-ClusterName=tests
-SlurmctldHost=localhost
-SlurmctldAddr=127.0.0.1
-SlurmctldPort={ports[0]}
-SlurmdPort={ports[1]}
-SlurmUser=root
-AuthType=auth/munge
-AuthInfo=socket={folder}/munge
-CredType=cred/munge
-StateSaveLocation={folder}/state
-SlurmdSpoolDir={folder}/spool
-SlurmctldPidFile={folder}/slurmctld.pid
-SlurmdPidFile={folder}/slurmd.pid
-SlurmctldLogFile={folder}/slurmctld.log
-SlurmdLogFile={folder}/slurmd.log
-ProctrackType=proctrack/linuxproc
-TaskPlugin=task/none
-MpiDefault=none
-SwitchType=switch/none
-SelectType=select/cons_tres
-SelectTypeParameters=CR_CPU
-PreemptType=preempt/partition_prio
-PreemptMode=REQUEUE
-SchedulerParameters=sched_interval=1,batch_sched_delay=0
-MinJobAge=300
-KillWait=5
-ReturnToService=2
-NodeName=localhost NodeAddr=127.0.0.1 CPUs=2 RealMemory=4096 State=UNKNOWN
-PartitionName=low Nodes=localhost Default=YES PriorityTier=1 PreemptMode=REQUEUE GraceTime=5
-PartitionName=high Nodes=localhost PriorityTier=2 PreemptMode=OFF
-"""
+_CONFIG: Final = Path(__file__).with_name("slurm.conf").read_text("utf-8")
+"""The configuration, without the folder and the ports."""
 
 
 @contextmanager

@@ -23,7 +23,7 @@ def missing() -> str | None:
     name = f"glue-try-{os.getpid()}"
     if subprocess.run(["ip", "netns", "add", name], capture_output=True).returncode != 0:
         return "this machine does not allow network namespaces"
-    _run("ip", "netns", "delete", name)
+    _run(f"ip netns delete {name}")
     return None
 
 
@@ -38,30 +38,17 @@ class Networks:
     def __enter__(self) -> Networks:
         with ExitStack() as ending:
             for name in (self._near, self._router, self.far):
-                _run("ip", "netns", "add", name)
-                ending.callback(_run, "ip", "netns", "delete", name)
-                _run("ip", "-n", name, "link", "set", "lo", "up")
+                _run(f"ip netns add {name}")
+                ending.callback(_run, f"ip netns delete {name}")
+                _run(f"ip -n {name} link set lo up")
             for number, host in ((1, self._near), (2, self.far)):
                 inside = f"10.221.{number}"
-                _run(
-                    "ip",
-                    "-n",
-                    host,
-                    "link",
-                    "add",
-                    "eth0",
-                    "type",
-                    "veth",
-                    "peer",
-                    f"eth{number}",
-                    "netns",
-                    self._router,
-                )
-                _run("ip", "-n", host, "address", "add", f"{inside}.1/24", "dev", "eth0")
-                _run("ip", "-n", self._router, "address", "add", f"{inside}.2/24", "dev", f"eth{number}")
-                _run("ip", "-n", host, "link", "set", "eth0", "up")
-                _run("ip", "-n", self._router, "link", "set", f"eth{number}", "up")
-                _run("ip", "-n", host, "route", "add", "default", "via", f"{inside}.2")
+                _run(f"ip -n {host} link add eth0 type veth peer eth{number} netns {self._router}")
+                _run(f"ip -n {host} address add {inside}.1/24 dev eth0")
+                _run(f"ip -n {self._router} address add {inside}.2/24 dev eth{number}")
+                _run(f"ip -n {host} link set eth0 up")
+                _run(f"ip -n {self._router} link set eth{number} up")
+                _run(f"ip -n {host} route add default via {inside}.2")
             self.swallow(False)
             self._ending = ending.pop_all()
         return self
@@ -72,7 +59,7 @@ class Networks:
     def swallow(self, everything: bool) -> None:
         """Let the router silently drop all packets that it should forward, or forward them again."""
         setting = f"net.ipv4.ip_forward={0 if everything else 1}"
-        _run("ip", "netns", "exec", self._router, "sysctl", "--quiet", "--write", setting)
+        _run(f"ip netns exec {self._router} sysctl --quiet --write {setting}")
 
     @contextmanager
     def near(self) -> Iterator[None]:
@@ -91,5 +78,5 @@ def _enter(namespace: int) -> None:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
 
-def _run(*command: str) -> None:
-    subprocess.run(command, check=True, capture_output=True)
+def _run(command: str) -> None:
+    subprocess.run(command.split(), check=True, capture_output=True)

@@ -74,14 +74,8 @@ def run(
         thread.start()
         ending.callback(thread.join, TIMEOUT)
         ending.callback(hub.stop, "over")
-        agent = [
-            "ip",
-            "netns",
-            "exec",
-            hosts.far,
-            sys.executable,
-            *peer("agent", near, "tests.players:ChainAgent", libzmq),
-        ]
+        player = peer("agent", near, "tests.players:ChainAgent", libzmq)
+        agent = ["ip", "netns", "exec", hosts.far, sys.executable, *player]
         process = subprocess.Popen(agent, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         ending.callback(process.wait)
         ending.callback(process.kill)

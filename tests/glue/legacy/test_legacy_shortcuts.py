@@ -1,0 +1,174 @@
+"""The gateway's codec reads and writes the same however frames arrive, and whatever was read before.
+
+Each case is a random conversation with any fault. A frame that arrives whole takes a shorter way than one in
+pieces, and so does an abstract type that was read or written just before.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from itertools import product
+from random import Random
+from typing import Any
+
+from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.legacy import bodies
+from glue.legacy.bodies import MAX_COUNT, MAX_STRING
+from glue.legacy.codec import (
+    FROM_AGENT,
+    FROM_ENVIRONMENT,
+    FROM_EXPERIMENT,
+    TO_AGENT,
+    TO_ENVIRONMENT,
+    TO_EXPERIMENT,
+    Control,
+    Decoder,
+    Frame,
+    Layout,
+    Vocabulary,
+    encode,
+)
+from glue.types import Action
+from glue.wire.messages import Body, Value
+from tests.proof import size
+
+VOCABULARIES = (FROM_AGENT, FROM_ENVIRONMENT, FROM_EXPERIMENT, TO_AGENT, TO_ENVIRONMENT, TO_EXPERIMENT)
+TYPES = [
+    Action([1]).body,
+    Action([2]).body,
+    Action().body,
+    Action([1, 2], [0.5], b"abc").body,
+    Action([1, 2], [-0.5], b"abc").body,
+    Action((), [float("nan")], b"\0" * 5).body,
+    Action([3], (), b"abcd").body,
+]
+REWARDS = (0.0, -0.0, 1.0, float("inf"))
+
+
+def remember(known: bytes) -> None:
+    """Let the codec know an abstract type of its own making, or none."""
+    for each in (bodies._OBSERVATION, bodies._ACTION):
+        each.latest = b"", b""
+        if known:
+            each.write(known)
+
+
+def outcome(work: Callable[[], Any]) -> str:
+    """Return what comes of `work`, a value or an error."""
+    try:
+        return repr(work())
+    except (LocalProtocolError, RemoteProtocolError) as error:
+        return repr(error)
+
+
+def reading(
+    pieces: Iterable[bytes], vocabulary: Vocabulary, max_body: int, known: Callable[[], bytes]
+) -> list[str]:
+    """Return the events of a decoder, up to the first error, and the number of bytes left in it."""
+    decoder = Decoder(vocabulary, max_body)
+    found: list[str] = []
+    for piece in pieces:
+        decoder.receive_data(piece)
+        remember(known())
+        while (event := outcome(decoder.next_event)) != "None":
+            found.append(event)
+            if "Error" in event:
+                return [*found, str(decoder.buffered)]
+            remember(known())
+    return [*found, str(decoder.buffered)]
+
+
+def body_of(random: Random, content: Body) -> bytes:
+    """Return a body, now and then one that its counts contradict."""
+    body = {
+        Body.NONE: b"",
+        Body.OBSERVATION_ACTION: random.choice(TYPES) + random.choice(TYPES),
+        Body.TEXT: random.choice([b"", b"text", b"cut\0off"]),
+    }.get(content, random.choice(TYPES))
+    if random.random() < 0.1:
+        at = random.randrange(len(body) + 1)
+        other = random.choice(TYPES)
+        return random.choice([body[:at], body + b"x", body[:at] + other[at:], body + other, other + body])
+    return body
+
+
+def scalars_of(random: Random, layout: Layout) -> tuple[Value, ...]:
+    wholes = (0, 1, 2, 2**31 - 1, 2**31)
+    chosen = {float: REWARDS, bool: (False, True, 2), int: wholes}
+    return tuple(random.choice(chosen[of_type]) for of_type in layout.types)
+
+
+def payload_of(random: Random, layout: Layout) -> bytes:
+    """Return a payload, now and then one that ends early, is too long, or has counts that are too large."""
+    forms = {"d": REWARDS, "i": (0, 1, 2, -1), "I": (0, 2**32 - 1)}
+    head = b"".join(struct.pack(">" + form, random.choice(forms[form])) for form in layout.head.format[3:])
+    if layout.body is Body.TEXT:
+        body = random.choice([b"", b"text", b"cut\0off"])
+        count = random.choice([len(body)] * 8 + [len(body) + 1, MAX_STRING, MAX_STRING + 1])
+        payload = head + struct.pack(">I", count) + body
+    else:
+        types = {Body.NONE: 0, Body.OBSERVATION_ACTION: 2}.get(layout.body, 1)
+        payload = head + b"".join(bodies._OBSERVATION.write(random.choice(TYPES)) for _ in range(types))
+    match random.randrange(10):
+        case 0:
+            return payload[: random.randrange(len(payload) + 1)]
+        case 1:
+            return payload + bytes(random.randrange(1, 20))
+        case 2 if len(payload) > len(head) + 12:
+            return head + struct.pack(">3I", *random.choices([0, 1, MAX_COUNT, MAX_COUNT + 1], k=3)) + payload
+    return payload
+
+
+def conversation(random: Random, vocabulary: Vocabulary) -> Iterator[bytes]:
+    """Yield the frames of a program, most of them of one kind, and none of it after a wrong one."""
+    kinds = list(vocabulary)
+    typed = [kind for kind in kinds if vocabulary[kind].body not in (Body.NONE, Body.TEXT)]
+    usual = random.choice(random.choice([kinds, typed or kinds, typed or kinds]))
+    for _ in range(random.randrange(1, 7)):
+        kind = usual if random.random() < 0.8 else random.choice(kinds)
+        payload = payload_of(random, vocabulary[kind])
+        announced = len(payload) if random.random() < 0.95 else random.choice([0, 2**31, len(payload) + 3])
+        kind = kind if random.random() < 0.95 else random.choice([0, -1, 9, 99, Control.CONNECT_AGENT])
+        yield struct.pack(">iI", kind, announced) + payload
+
+
+def test_frames_are_read_alike_whole_and_cut_anywhere_and_whatever_was_read_before() -> None:
+    for seed in range(size(150, 20_000)):
+        random = Random(seed)
+        vocabulary = random.choice(VOCABULARIES)
+        max_body = random.choice([16, 30, 2**24])
+        frames = list(conversation(random, vocabulary))
+        data = b"".join(frames)
+        expected = reading([bytes([byte]) for byte in data], vocabulary, max_body, bytes)
+        for known in (bytes, partial(random.choice, TYPES)):
+            assert reading(frames, vocabulary, max_body, known) == expected, f"conversation {seed}"
+            for cut in range(len(data) + 1):
+                read = reading([data[:cut], data[cut:]], vocabulary, max_body, known)
+                assert read == expected, f"conversation {seed}, cut at {cut}"
+
+
+def test_frames_are_written_alike_whatever_was_written_before() -> None:
+    for seed in range(size(1000, 100_000)):
+        random = Random(seed)
+        vocabulary = random.choice([TO_AGENT, TO_EXPERIMENT, FROM_ENVIRONMENT])
+        layout = random.choice(list(vocabulary.values()))
+        frame = Frame(layout.kind, scalars_of(random, layout), body_of(random, layout.body))
+        remember(b"")
+        expected = outcome(partial(encode, frame, vocabulary))
+        for known in TYPES:
+            remember(known)
+            assert outcome(partial(encode, frame, vocabulary)) == expected, f"frame {seed}"
+
+
+def test_an_observation_and_an_action_are_written_alike_together_and_one_by_one() -> None:
+    for observation, action in product(TYPES, repeat=2):
+        both = observation + action
+        for body in (b"", observation, both, both[:-1], both[1:]):
+            remember(b"")
+            expected = outcome(partial(bodies._write_two_types, body))
+            for known, last in product(TYPES, repeat=2):
+                bodies._OBSERVATION.write(known)
+                bodies._ACTION.write(last)
+                assert outcome(partial(bodies._write_two_types, body)) == expected
