@@ -74,14 +74,8 @@ def counting(path: Path) -> list[Episode]:
 
 def numbers(found: list[Episode]) -> list[tuple[float, int, bool]]:
     """Return the return, steps and end of each episode, as in the results of an experiment."""
-    return [
-        (
-            episode.episode_return,
-            1 + sum(not step.terminal for step in episode.steps),
-            episode.ending is Ending.TERMINAL,
-        )
-        for episode in found
-    ]
+    steps = [1 + sum(not step.terminal for step in episode.steps) for episode in found]
+    return [(e.episode_return, n, e.ending is Ending.TERMINAL) for e, n in zip(found, steps, strict=True)]
 
 
 def in_results(directory: Path) -> list[tuple[float, int, bool]]:
@@ -142,16 +136,10 @@ def test_replay_compares_all_of_it_and_finds_one_changed_byte() -> None:
 
 
 def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> None:
-    words = [
-        sys.executable,
-        "-m",
-        "env_server.cli.environment",
-        "mines",
-        "--random-start",
-        "--hub",
-        "ipc://meeting",
-    ]
-    with subprocess.Popen([*words, "--quiet"]) as environment:
+    module = [sys.executable, "-m", "env_server.cli.environment"]
+    with subprocess.Popen(
+        [*module, "mines", "--random-start", "--hub", "ipc://meeting", "--quiet"]
+    ) as environment:
         command = ("--agent", "sarsa", "--episodes", "5", "--bind", "ipc://meeting", "--record", "run.traj")
         try:
             assert invoke(*command, "--out", "run").return_value == 0
@@ -339,18 +327,13 @@ def test_what_cannot_be_recorded_is_said_before_anything_is_made(
     assert Path("old.traj").read_text() == "an older one"
 
 
-def test_run_that_cannot_begin_leaves_no_recording() -> None:
+def test_run_that_cannot_begin_or_is_finished_leaves_no_recording() -> None:
     assert invoke(*COMMAND, "--episodes", "3", "--out", "run").return_value == 0
-    result = invoke(*COMMAND, "--episodes", "2", "--out", "run", "--record", "new.traj")
-    assert "is the run of another plan" in str(result.exception)
-    assert not Path("new.traj").exists()
-
-
-def test_finished_run_leaves_no_recording_and_says_so() -> None:
-    assert invoke(*COMMAND, "--episodes", "3", "--out", "run").return_value == 0
-    result = invoke("--resume", "run", "--in-process", "--record", "new.traj")
-    assert result.return_value == 0
-    assert "new.traj was not written" in result.stderr
+    other = invoke(*COMMAND, "--episodes", "2", "--out", "run", "--record", "new.traj")
+    assert "is the run of another plan" in str(other.exception)
+    finished = invoke("--resume", "run", "--in-process", "--record", "new.traj")
+    assert finished.return_value == 0
+    assert "new.traj was not written" in finished.stderr
     assert not Path("new.traj").exists()
 
 
