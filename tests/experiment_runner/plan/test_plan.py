@@ -3,7 +3,6 @@ from __future__ import annotations
 import textwrap
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
 import pytest
 from hypothesis import given
@@ -17,13 +16,10 @@ from experiment_runner.plan.plan import (
     Plan,
     RoleSpec,
     RoleSweep,
-    check_options,
     describe,
     differences,
 )
-from experiment_runner.plan.toml import SettingError
 from glue.errors import ConfigError, ExperimentError
-from glue.options import Option
 
 SMALL = """
 episodes = 20
@@ -39,21 +35,6 @@ level_seed = [121, 122]
 class = "tiles"
 terminal_update = true
 """
-
-
-class Learner:
-    def __init__(
-        self,
-        *,
-        step_size: Annotated[float, Option("how far to move", low=0, high=1)] = 0.3,
-        terminal_update: bool = False,
-    ) -> None: ...
-
-
-def find(role: str, name: str) -> type:
-    if (role, name) == ("agent", "learner"):
-        return Learner
-    raise ConfigError(f"no {role} is called {name}")
 
 
 def test_plan_of_the_manual_expands_to_every_combination() -> None:
@@ -257,27 +238,13 @@ def test_mistake_in_a_plan_is_one_of_the_command(tmp_path: Path, wrong: str, mes
         make_plan(path, {}, {})
 
 
-def test_options_are_checked_and_widened() -> None:
-    plan = Plan(episodes=1, agents=(RoleSweep("learner", {"step_size": (0, 0.5)}),))
-    checked = check_options(plan, find)
-    assert [spec.id for spec in checked.expand()] == [
-        "learner/step_size=0.0/remote/0",
-        "learner/step_size=0.5/remote/0",
+def test_options_of_a_plan_are_widened(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text("episodes = 3\n[agents.sarsa]\nstep_size = [0, 0.5]\n")
+    assert [spec.id for spec in make_plan(path, {}, {}).expand()] == [
+        "sarsa/step_size=0.0/remote/0",
+        "sarsa/step_size=0.5/remote/0",
     ]
-
-
-@pytest.mark.parametrize(
-    ("sweep", "message"),
-    [
-        (RoleSweep("lerner"), "no agent is called lerner"),
-        (RoleSweep("learner", {"stepsize": 0.1}), "learner has no option stepsize; did you mean step_size"),
-        (RoleSweep("learner", {"step_size": (0.1, 2)}), "step_size must be from 0 to 1, not 2"),
-        (RoleSweep("learner", {"terminal_update": 1}), "terminal_update takes true or false, not 1"),
-    ],
-)
-def test_wrong_option_is_refused(sweep: RoleSweep, message: str) -> None:
-    with pytest.raises((ConfigError, SettingError), match=message):
-        check_options(Plan(episodes=1, agents=(sweep,)), find)
 
 
 def test_differences_say_what_differs() -> None:
