@@ -219,16 +219,6 @@ def test_player_from_outside_that_takes_no_seed_is_named_once() -> None:
         assert as_text([results]).count(named[0]) == 1
 
 
-def test_names_and_places_of_players_change_nothing() -> None:
-    Path("mine.py").write_text("from agents.tabular import SarsaAgent\nclass Mine(SarsaAgent): pass")
-    run = ("--env", "mines", "--episodes", "3", "--max-steps", "30", "--trials", "2", "--seed", "7")
-    invoke(*run, "--agent", "sarsa", "--in-process", "--out", "named")
-    named = [episodes for episodes, _ in contents(Path("named")).values()]
-    for name, *way in ("processes",), ("env", "--inside=env"), ("both", "--inside=env", "--inside=agent"):
-        assert invoke(*run, "--agent", "mine.py:Mine", *way, "--out", name).return_value == 0
-        assert [episodes for episodes, _ in contents(Path(name)).values()] == named
-
-
 @pytest.mark.parametrize(
     "text",
     [b'{"files": NaN}', b"[]", b"[" * 200_000, b"\xff", b'{"files": %s}' % (b"9" * 5000), b'{"merged": 3}'],

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
+import io
 import threading
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -21,8 +21,9 @@ from experiment_runner.executors.trials import Trials
 from experiment_runner.meeting.players import BOTH, HubOptions, Meeting
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
+from experiment_runner.report.progress import Progress
 from experiment_runner.store.export import metric_table
-from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult, TrialRecord
+from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.hub.config import LegacyPort
@@ -40,17 +41,14 @@ FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
 HERE = Meeting(inside=BOTH)
 
 
-class Silent:
-    """Reports nothing; interrupts the run after a given number of episodes, if any."""
+class Silent(Progress):
+    """Shows nothing; interrupts the run after a given number of episodes, if any."""
 
     def __init__(self, interrupt_after: int = 0) -> None:
+        super().__init__(io.StringIO())
         self._left = interrupt_after
         self.names: dict[str, str] = {}
         self.said: list[str] = []
-
-    def start(self, trials: Sequence[TrialRecord]) -> None: ...
-
-    def begin(self, spec: TrialSpec, done: int, steps: int) -> None: ...
 
     def rename(self, spec: TrialSpec, name: str) -> None:
         self.names[spec.id] = name
@@ -60,14 +58,8 @@ class Silent:
         if self._left == 0:
             raise KeyboardInterrupt
 
-    def playing(self, spec: TrialSpec, episode: int, steps: int | None) -> None: ...
-
-    def end(self, spec: TrialSpec) -> None: ...
-
     def say(self, line: str) -> None:
         self.said.append(line)
-
-    def close(self) -> None: ...
 
 
 class Unreliable:

@@ -34,6 +34,7 @@ class Kept:
     def __init__(self) -> None:
         self.results: list[EpisodeResult] = []
         self.checkpoints: dict[int, Checkpoint] = {}
+        self.answers: list[tuple[Answer, ...]] = []
         self.voids: list[int] = []
         self.events: list[str] = []
         self.said: list[str] = []
@@ -47,6 +48,7 @@ class Kept:
     ) -> None:
         assert not self.results or result.episode == self.results[-1].episode + 1
         self.results.append(result)
+        self.answers.append(answers)
         if checkpoint is not None:
             self.checkpoints[result.episode] = checkpoint
 
