@@ -112,6 +112,7 @@ def test_curves_without_a_value_are_an_error() -> None:
 def test_single_trial_is_drawn_without_a_band() -> None:
     figure = learning_curves({("", "one"): learner(10, trials=1)}, rng())
     assert "over 1 trial," in figure.get_suptitle()
+    assert not [path for band in figure.axes[0].collections for path in band.get_paths()]
 
 
 def test_scatter_shows_every_episode_of_every_trial() -> None:
