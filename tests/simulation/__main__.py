@@ -9,7 +9,7 @@ from collections import Counter
 
 from tests.simulation.diagram import diagram
 from tests.simulation.faults import drawn
-from tests.simulation.run import Outcome, simulate
+from tests.simulation.run import simulate
 from tests.simulation.shrinking import needed
 
 
@@ -36,29 +36,29 @@ def one(seed: int, trace: bool) -> int:
     return bool(outcome.problems)
 
 
-def many(first: int, number: int, stop: bool) -> tuple[Outcome, int, float]:
-    """Run many seeds; return their summed outcome, the number of failures, and the processor seconds."""
-    began = time.process_time()
-    total = Outcome([], [], Counter(), 0, 0, [], 0.0)
-    failed = 0
+class Total:
+    """The outcomes of many seeds together; of each seed that failed, the first problem."""
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+        self.reached: Counter[str] = Counter()
+        self.blocks = self.voids = 0
+
+
+def many(first: int, number: int, stop: bool) -> Total:
+    """Run many seeds."""
+    total = Total()
     for seed in range(first, first + number):
         outcome = simulate(seed)
-        total = Outcome(
-            total.problems,
-            [],
-            total.reached + outcome.reached,
-            total.blocks + outcome.blocks,
-            total.voids + outcome.voids,
-            [],
-            total.seconds + outcome.seconds,
-        )
+        total.reached += outcome.reached
+        total.blocks += outcome.blocks
+        total.voids += outcome.voids
         if outcome.problems:
-            failed += 1
             total.problems.append(f"seed {seed}: {outcome.problems[0]}")
             print(total.problems[-1], flush=True)
             if stop:
                 break
-    return total, failed, time.process_time() - began
+    return total
 
 
 def main() -> int:
@@ -73,7 +73,8 @@ def main() -> int:
     options = parser.parse_args()
     if options.seed is not None:
         return one(options.seed, options.trace)
-    total, failed, seconds = many(options.first, options.seeds, options.stop)
+    total = many(options.first, options.seeds, options.stop)
+    seconds, failed = time.process_time(), len(total.problems)
     faults = sum(number for name, number in total.reached.items() if name.startswith("fault: "))
     print(
         f"{options.seeds} seeds, {faults} faults, {total.blocks} blocks compared, {total.voids} void, "

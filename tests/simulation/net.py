@@ -9,6 +9,7 @@ import errno
 import socket as real
 from collections import deque
 from collections.abc import Callable, Iterable
+from functools import partial
 from select import POLLERR, POLLHUP, POLLIN, POLLOUT
 from typing import Any, Final
 
@@ -193,10 +194,6 @@ class Socket:
 
     # The simulation's side.
 
-    def abandon(self) -> None:
-        """Close, as the system does for a process that was killed."""
-        self.close()
-
     def room(self) -> int:
         """Return the number of bytes that can be sent now."""
         return self.capacity - self.flying - (len(self.peer.inbox) if self.peer is not None else 0)
@@ -367,21 +364,13 @@ class Net:
         def getaddrinfo(host: str | None, port: Any, *how: Any, **more: Any) -> list[Any]:
             return [(real.AF_INET, real.SOCK_STREAM, 6, "", ("127.0.0.1", port))]
 
-        class SomePoller(Poller):
-            def __init__(self) -> None:
-                super().__init__(net)
-
-        class SomePollerMs(PollerMs):
-            def __init__(self) -> None:
-                super().__init__(net)
-
         return {
             "socket": socket,
             "create_server": create_server,
             "socketpair": socketpair,
             "getaddrinfo": getaddrinfo,
-            "Poller": SomePoller,
-            "poll": SomePollerMs,
+            "Poller": partial(Poller, net),
+            "poll": partial(PollerMs, net),
         }
 
     def connect(self, client: Socket, listening: Socket) -> None:

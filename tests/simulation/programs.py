@@ -23,30 +23,45 @@ def nothing() -> None:
     """Do nothing."""
 
 
-class BusyEnvironment(Environment):
-    """An environment that digests its calls.
+class _Busy:
+    """A player that digests its calls.
 
     Args:
-        bulk: size of the largest observation, in bytes.
+        bulk: size of its largest observation or action, in bytes.
         pause: called before each answer.
     """
+
+    _letter: bytes
 
     def __init__(self, bulk: int, pause: Pause = nothing) -> None:
         self._bulk = bulk
         self._pause = pause
         self._digest = 0
-        self._steps = 0
 
     def _mix(self, data: bytes) -> None:
         self._pause()
         self._digest = zlib.crc32(data, self._digest)
 
-    def _observe(self) -> Observation:
+    def _answer(self) -> dict[str, Any]:
+        """Return the parts of an observation or action."""
         size = self._digest % self._bulk if self._bulk else 0
-        return Observation(ints=[self._digest & 0x7FFF_FFFF], chars=b"x" * size)
+        return {"ints": [self._digest & 0x7FFF_FFFF], "chars": self._letter * size}
 
-    def env_seed(self, seed: int) -> None:
+    def _seed(self, seed: int) -> None:
         self._digest = seed & 0xFFFF_FFFF
+
+    def _save(self) -> bytes:
+        return self._digest.to_bytes(4, "little")
+
+    def _load(self, data: bytes) -> None:
+        self._digest = int.from_bytes(data, "little")
+
+
+class BusyEnvironment(_Busy, Environment):
+    """An environment that digests its calls."""
+
+    _letter = b"x"
+    env_seed, env_save, env_load = _Busy._seed, _Busy._save, _Busy._load
 
     def env_init(self) -> str:
         self._mix(b"init")
@@ -54,14 +69,12 @@ class BusyEnvironment(Environment):
 
     def env_start(self) -> Observation:
         self._mix(b"start")
-        self._steps = 0
-        return self._observe()
+        return Observation(**self._answer())
 
     def env_step(self, action: Action) -> Step:
         self._mix(action.body)
-        self._steps += 1
         over = self._digest % 13 == 0
-        return Step(self._digest / 7.0, self._observe(), over, over and self._digest % 2 == 0)
+        return Step(self._digest / 7.0, Observation(**self._answer()), over, over and self._digest % 2 == 0)
 
     def env_cleanup(self) -> None:
         self._mix(b"cleanup")
@@ -69,42 +82,23 @@ class BusyEnvironment(Environment):
     def env_message(self, message: str) -> str:
         return message[::-1]
 
-    def env_save(self) -> bytes:
-        return self._digest.to_bytes(4, "little")
 
-    def env_load(self, data: bytes) -> None:
-        self._digest = int.from_bytes(data, "little")
+class BusyAgent(_Busy, Agent):
+    """An agent that digests its calls."""
 
-
-class BusyAgent(Agent):
-    """An agent that digests its calls; the arguments are those of `BusyEnvironment`."""
-
-    def __init__(self, bulk: int, pause: Pause = nothing) -> None:
-        self._bulk = bulk
-        self._pause = pause
-        self._digest = 0
-
-    def _mix(self, data: bytes) -> None:
-        self._pause()
-        self._digest = zlib.crc32(data, self._digest)
-
-    def _act(self) -> Action:
-        size = self._digest % self._bulk if self._bulk else 0
-        return Action(ints=[self._digest & 0x7FFF_FFFF], chars=b"y" * size)
-
-    def agent_seed(self, seed: int) -> None:
-        self._digest = seed & 0xFFFF_FFFF
+    _letter = b"y"
+    agent_seed, agent_save, agent_load = _Busy._seed, _Busy._save, _Busy._load
 
     def agent_init(self, task_spec: str) -> None:
         self._mix(task_spec.encode())
 
     def agent_start(self, observation: Observation) -> Action:
         self._mix(observation.body)
-        return self._act()
+        return Action(**self._answer())
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         self._mix(repr(reward).encode() + observation.body)
-        return self._act()
+        return Action(**self._answer())
 
     def agent_end(self, reward: float) -> None:
         self._mix(repr(reward).encode())
@@ -114,12 +108,6 @@ class BusyAgent(Agent):
 
     def agent_message(self, message: str) -> str:
         return message.upper()
-
-    def agent_save(self) -> bytes:
-        return self._digest.to_bytes(4, "little")
-
-    def agent_load(self, data: bytes) -> None:
-        self._digest = int.from_bytes(data, "little")
 
 
 class _Games(BusyEnvironment):

@@ -17,9 +17,8 @@ from glue.doors import clock
 from glue.errors import PeerLost
 from glue.hub.session import Session
 from glue.hub.sessions import Switchboard
-from glue.roles import Agent, Environment
-from glue.types import Action, Observation, Step
 from glue.wire.messages import Kind, Message, Role
+from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.simulation.faults import Fault
 from tests.simulation.run import URL, Run
 from tests.simulation.world import Process, replacing
@@ -36,29 +35,6 @@ class Line(NamedTuple):
     instance: int
     busy: bool
     void: bool
-
-
-class _Environment(Environment):
-    """An environment that does nothing, and has no seed."""
-
-    def env_init(self) -> str:
-        return "task"
-
-    def env_start(self) -> Observation:
-        return Observation(ints=[1])
-
-    def env_step(self, action: Action) -> Step:
-        raise AssertionError("an episode of one step has only a start")
-
-
-class _Agent(Agent):
-    """An agent that does nothing, and has no seed."""
-
-    def agent_start(self, observation: Observation) -> Action:
-        return Action(ints=[1])
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        raise AssertionError("an episode of one step has only a start")
 
 
 class _TracedRun(Run):
@@ -125,7 +101,7 @@ class _TracedRun(Run):
 
     def _player(self, role: Role, sessions: Any, delay: float) -> None:
         def start(kept: bool) -> Process:
-            player: Any = _Agent() if role is Role.AGENT else _Environment()
+            player: Any = ScriptedAgent() if role is Role.AGENT else ScriptedEnvironment()
             process = Process(self.world, str(role))
             process.spawn(partial(self._serve, role, {sessions[0].name: player}, 0.0))
             self.players.append((process, start))

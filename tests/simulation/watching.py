@@ -49,6 +49,8 @@ _CAUSES: Final = {
     "is void": "a verb of a void episode",
 }
 
+_LOGGED: Final = ("another", "unreachable", "newer connections", "it used", "is gone", "dismissed")
+
 _ROLE: Final = re.compile(r"\b(?:agent|environment)\b")
 
 _RECONNECT_SECONDS: Final = 1.2
@@ -105,14 +107,7 @@ class Watch:
         class Noting(Log):
             def __call__(self, line: str, level: LogLevel = LogLevel.PEERS) -> None:
                 watch.note(process.name, "log", line)
-                for part in (
-                    "another",
-                    "unreachable",
-                    "newer connections",
-                    "it used",
-                    "is gone",
-                    "dismissed",
-                ):
+                for part in _LOGGED:
                     if part in line:
                         watch.reached(f"log: {part}")
                 if level is LogLevel.ERROR and process.alive:

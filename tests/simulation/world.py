@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from heapq import heappop, heappush
 from random import Random
 from typing import Any, Final
@@ -80,7 +81,7 @@ class Process:
             return
         self.alive = False
         for connection in list(self.connections.values()):
-            connection.abandon()
+            connection.close()
         self.connections.clear()
         for task in self.tasks:
             if not task.dead and task is not getcurrent():
@@ -209,36 +210,18 @@ class World:
     @contextmanager
     def entered(self, net: Any) -> Iterator[None]:
         """Replace the functions behind the doors while the body of the `with` runs."""
-        world = self
-
-        class RLock(_RLock):
-            def __init__(self) -> None:
-                super().__init__(world)
-
-        class Event(_Event):
-            def __init__(self) -> None:
-                super().__init__(world)
-
-        class Thread(_Thread):
-            pass
-
-        Thread.world = world
         replaced: list[tuple[Any, str, Any]] = [
             (clock, "monotonic", self.monotonic),
             (clock, "sleep", self.sleep),
             (clock, "give_way", self.give_way),
             (chance, "random_bytes", self.random_bytes),
-            (threads, "RLock", RLock),
-            (threads, "Event", Event),
-            (threads, "Thread", Thread),
+            (threads, "RLock", partial(_RLock, self)),
+            (threads, "Event", partial(_Event, self)),
+            (threads, "Thread", partial(_Thread, self)),
             *((network, name, value) for name, value in net.door().items()),
         ]
         with replacing(replaced):
             yield
-
-
-def _current() -> Any:
-    return getcurrent()
 
 
 @contextmanager
@@ -310,10 +293,9 @@ class _Event:
 class _Thread:
     """A thread of the process that starts it."""
 
-    world: World
-
     def __init__(
         self,
+        world: World,
         target: Callable[..., object],
         args: tuple[Any, ...] = (),
         kwargs: dict[str, Any] | None = None,
@@ -321,10 +303,10 @@ class _Thread:
         daemon: bool = False,
     ) -> None:
         self._run: Callable[[], object] = lambda: target(*args, **(kwargs or {}))
-        self._ended = _Event(self.world)
+        self._ended = _Event(world)
 
     def start(self) -> None:
-        process: Process = _current().process
+        current: Any = getcurrent()
 
         def run() -> None:
             try:
@@ -332,7 +314,7 @@ class _Thread:
             finally:
                 self._ended.set()
 
-        process.spawn(run)
+        current.process.spawn(run)
 
     def join(self, timeout: float | None = None) -> None:
         self._ended.wait(timeout)

@@ -92,6 +92,8 @@ def test_results_do_not_depend_on_the_processes(tmp_path: Path) -> None:
     for how, name in (
         (("--in-process",), "one"),
         ((), "three"),
+        (("--inside", "env"), "two"),
+        (("--inside", "env", "--inside", "agent"), "one with a hub"),
         (("--in-process", "--workers", 2), "workers"),
         (("--workers", 3), "workers with players of their own"),
     ):

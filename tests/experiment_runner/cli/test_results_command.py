@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
+from click import UsageError
+from click.testing import CliRunner, Result
 from pyarrow import parquet
 
 from experiment_runner.cli.experiment import experiment
@@ -143,11 +144,6 @@ def test_finished_competition_is_finished_whatever_its_episodes(run: Path) -> No
         assert overview(results).state == "finished"
 
 
-def test_show_of_a_run_that_has_only_begun(tmp_path: Path) -> None:
-    make(tmp_path / "run", [0, 0, 0, 0])
-    assert "random" in call("show", tmp_path / "run")
-
-
 # export
 
 
@@ -203,12 +199,9 @@ def test_list_and_show_as_json_are_for_scripts(run: Path, tmp_path: Path) -> Non
 # remove
 
 
-def test_removed_run_is_gone_with_its_directory(run: Path) -> None:
-    call("remove", run, "--yes")
-    assert not run.exists()
-
-
-def test_remove_leaves_what_is_not_the_runs(run: Path) -> None:
+def test_removed_run_is_gone_with_its_directory_but_not_what_is_not_its(run: Path, tmp_path: Path) -> None:
+    call("remove", make(tmp_path / "other", [0, 0, 0, 0]), "--yes")
+    assert not (tmp_path / "other").exists()
     (run / "notes.txt").write_text("mine")
     done = CliRunner().invoke(results, ["remove", str(run), "--yes"])
     assert (done.exit_code, [path.name for path in run.iterdir()]) == (0, ["notes.txt"])
@@ -303,8 +296,9 @@ def test_unusual_returns_and_mixed_options_are_exported(tmp_path: Path) -> None:
     assert table["agent.y"] == ["3", "3", "three", "three"]
 
 
-def test_export_of_a_run_without_episodes_is_an_empty_table(tmp_path: Path) -> None:
+def test_export_of_a_run_that_has_only_begun_is_an_empty_table(tmp_path: Path) -> None:
     run = make(tmp_path / "run", [0, 0, 0, 0])
+    assert "random" in call("show", run)
     assert len(call("export", run).splitlines()) == 1
     assert json.loads(call("export", run, "--format", "json")) == []
     call("export", run, "--format", "parquet", "--out", tmp_path / "out")
@@ -386,29 +380,6 @@ def test_runs_that_contradict_each_other_do_not_merge(tmp_path: Path) -> None:
     assert not (tmp_path / "ab").exists()
 
 
-def test_merge_into_a_directory_in_use_leaves_it_alone(tmp_path: Path, run: Path) -> None:
-    with pytest.raises(ExperimentError, match="holds a run"):
-        call("merge", run, "--out", run)
-    with Results.open(run) as found:
-        assert [record.done for record in found.trials()] == [4, 4, 4, 3]
-
-
-def test_merge_that_fails_half_way_leaves_nothing(
-    tmp_path: Path, run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    reading: Callable[[Results, str], object] = Results.checkpoint
-
-    def fail_at_last(results: Results, trial_id: str) -> object:
-        if trial_id == TRIALS[-1]:
-            raise ExperimentError("the disk is full")
-        return reading(results, trial_id)
-
-    monkeypatch.setattr(Results, "checkpoint", fail_at_last)
-    with pytest.raises(ExperimentError, match="the disk is full"):
-        call("merge", run, "--out", tmp_path / "merged")
-    assert not (tmp_path / "merged").exists()
-
-
 def test_merge_of_a_run_under_way_copies_no_checkpoint_without_its_episodes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -460,6 +431,9 @@ def test_agent_of_the_only_trial_needs_no_name(tmp_path: Path) -> None:
 
 def test_agent_that_is_not_there_is_explained(run: Path, tmp_path: Path) -> None:
     out = tmp_path / "some.agent"
+    Store.create(tmp_path / "empty", [], {}).close()
+    with pytest.raises(ExperimentError, match="has no trials"):
+        call("agent", tmp_path / "empty", "--out", out)
     with pytest.raises(ConfigError, match=f"run has 4 trials: .* --trial {TRIALS[0]}"):
         call("agent", run, "--out", out)
     with pytest.raises(ConfigError, match=f"has no trial sarsa/mario; did you mean .*{TRIALS[2]}"):
@@ -472,25 +446,15 @@ def test_agent_that_is_not_there_is_explained(run: Path, tmp_path: Path) -> None
     assert not out.exists()
 
 
-def test_run_without_trials_has_no_agent(tmp_path: Path) -> None:
-    Store.create(tmp_path / "empty", [], {}).close()
-    with pytest.raises(ExperimentError, match="has no trials"):
-        call("agent", tmp_path / "empty", "--out", tmp_path / "some.agent")
-
-
 def test_agent_that_cannot_be_saved_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(
         "from agents.baselines import RandomAgent\nclass Mine(RandomAgent):\n    agent_save = None\n"
     )
-    train("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--out", "run")
+    arguments = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--out", "run")
+    assert CliRunner().invoke(experiment, ["--in-process", *arguments]).exit_code == 0
     with pytest.raises(ExperimentError, match="Mine/mines/0 has no checkpoint: its agent or"):
         call("agent", "run", "--out", "mine.agent")
-
-
-def train(*arguments: str) -> None:
-    done = CliRunner().invoke(experiment, ["--in-process", *arguments], standalone_mode=False)
-    assert done.return_value == 0, done.stderr
 
 
 # compare
@@ -513,34 +477,32 @@ def test_comparison_of_few_trials_says_so(run: Path, tmp_path: Path) -> None:
 # glue-plot
 
 
+def draw(run: Path, out: Path, *arguments: str) -> Result:
+    return CliRunner().invoke(plot, [str(run), "-o", str(out), *arguments], standalone_mode=False)
+
+
 @pytest.mark.parametrize("kind", ["curves", "profile"])
 def test_plot_draws_each_kind(run: Path, tmp_path: Path, kind: str) -> None:
-    arguments = [str(run), "--kind", kind, "-o", str(tmp_path / "out.svg")]
-    CliRunner().invoke(plot, arguments, catch_exceptions=False, standalone_mode=False)
+    assert draw(run, tmp_path / "out.svg", "--kind", kind).exception is None
     assert (tmp_path / "out.svg").read_text().count("<path") > 50
-    for wrong, why in (("--select=nobody", "no setting has nobody"), ("--size=3", "as in 6.4x4; not 3")):
-        refused = CliRunner().invoke(plot, [*arguments, wrong], standalone_mode=False)
-        assert why in str(refused.exception)
 
 
-def test_plot_of_a_metric_that_was_not_recorded_says_how_to_record_it(run: Path, tmp_path: Path) -> None:
-    found = CliRunner().invoke(
-        plot, [str(run), "--metric", "epsilon", "--out", str(tmp_path / "epsilon.png")]
-    )
-    assert found.exit_code == 2
-    assert "no metric epsilon; glue-experiment records metrics with --metrics-every" in found.output
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ("--select=nobody", "no setting has nobody"),
+        ("--size=3", "as in 6.4x4; not 3"),
+        ("--metric=epsilon", "no metric epsilon; glue-experiment records metrics with --metrics-every"),
+    ],
+)
+def test_plot_of_what_there_is_not_is_refused(run: Path, tmp_path: Path, wrong: str, why: str) -> None:
+    refused = draw(run, tmp_path / "out.svg", wrong).exception
+    assert isinstance(refused, ConfigError | UsageError)  # the exit code is 2
+    assert why in str(refused)
 
 
 def test_plot_of_a_run_under_way_draws_what_there_is(tmp_path: Path) -> None:
-    make(tmp_path / "run", [4, 2, 0, 0])
-    arguments = [str(tmp_path / "run"), "-o", str(tmp_path / "out.png")]
-    CliRunner().invoke(plot, arguments, catch_exceptions=False, standalone_mode=False)
-    assert (tmp_path / "out.png").stat().st_size > 1000
-    make(tmp_path / "empty", [0, 0, 0, 0])
-    with pytest.raises(ExperimentError, match="nothing to draw yet"):
-        CliRunner().invoke(
-            plot,
-            [str(tmp_path / "empty"), "-o", str(tmp_path / "out.png")],
-            catch_exceptions=False,
-            standalone_mode=False,
-        )
+    out = tmp_path / "out.png"
+    assert draw(make(tmp_path / "run", [4, 2, 0, 0]), out).exception is None
+    assert out.stat().st_size > 1000
+    assert "nothing to draw yet" in str(draw(make(tmp_path / "empty", [0, 0, 0, 0]), out).exception)

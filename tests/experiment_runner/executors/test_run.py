@@ -1,7 +1,7 @@
 from __future__ import annotations
 
+import io
 import threading
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -10,23 +10,22 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.settings import collect
-from experiment_runner.cli.carrying_out import check_players, resume_command
+from experiment_runner.cli.carrying_out import resume_command
 from experiment_runner.executors.dispatch import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Job, Joined, Lost, Recorded, Report, Said, run_job
 from experiment_runner.executors.resume import OtherRun, create_run, open_run, remaining
 from experiment_runner.executors.run import RunConfig, run_trials
-from experiment_runner.executors.settings import Backend
 from experiment_runner.executors.trial import Start
 from experiment_runner.executors.trials import Trials
 from experiment_runner.meeting.players import BOTH, HubOptions, Meeting
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
+from experiment_runner.report.progress import Progress
 from experiment_runner.store.export import metric_table
-from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult, TrialRecord
+from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from glue.errors import ConfigError
 from glue.hub.config import LegacyPort
 from tests.system.runs import contents
 
@@ -37,21 +36,19 @@ PLAN = Plan(
     environments=(RoleSweep("mines", {"random_start": True}),),
     agents=(RoleSweep("sarsa"),),
 )
+STEPS = replace(PLAN, episodes=0, steps=333)
 FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
 HERE = Meeting(inside=BOTH)
 
 
-class Silent:
-    """Reports nothing; interrupts the run after a given number of episodes, if any."""
+class Silent(Progress):
+    """Shows nothing; interrupts the run after a given number of episodes, if any."""
 
     def __init__(self, interrupt_after: int = 0) -> None:
+        super().__init__(io.StringIO())
         self._left = interrupt_after
         self.names: dict[str, str] = {}
         self.said: list[str] = []
-
-    def start(self, trials: Sequence[TrialRecord]) -> None: ...
-
-    def begin(self, spec: TrialSpec, done: int, steps: int) -> None: ...
 
     def rename(self, spec: TrialSpec, name: str) -> None:
         self.names[spec.id] = name
@@ -61,14 +58,8 @@ class Silent:
         if self._left == 0:
             raise KeyboardInterrupt
 
-    def playing(self, spec: TrialSpec, episode: int, steps: int | None) -> None: ...
-
-    def end(self, spec: TrialSpec) -> None: ...
-
     def say(self, line: str) -> None:
         self.said.append(line)
-
-    def close(self) -> None: ...
 
 
 class Unreliable:
@@ -113,12 +104,20 @@ def trials_of(store: Store, reporter: Silent | None = None) -> Trials:
     return Trials(store, reporter or Silent(), make_job)
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    directory = tmp_path_factory.mktemp("undisturbed") / "run"
-    with create_run(directory, PLAN) as store:
+def play(directory: Path, plan: Plan) -> Path:
+    with create_run(directory, plan) as store:
         assert run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent()) == 0
     return directory
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return play(tmp_path_factory.mktemp("undisturbed") / "run", PLAN)
+
+
+@pytest.fixture(scope="module")
+def budgeted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return play(tmp_path_factory.mktemp("budgeted") / "run", STEPS)
 
 
 def hand_out(store: Store, pool: Unreliable) -> None:
@@ -127,13 +126,22 @@ def hand_out(store: Store, pool: Unreliable) -> None:
     )
 
 
-@pytest.mark.parametrize("size", [1, 2, 5])
-def test_lost_trials_end_as_undisturbed_ones(undisturbed: Path, tmp_path: Path, size: int) -> None:
-    pool = Unreliable(size, {FIRST: [0, 3, 7, 0], SECOND: [11], THIRD: [12]})
-    with create_run(tmp_path / "run", PLAN) as store:
+def losses() -> dict[str, list[int]]:
+    return {FIRST: [0, 3, 7, 0], SECOND: [11], THIRD: [12]}
+
+
+@pytest.mark.parametrize(
+    ("plan", "size", "whole"),
+    [*((PLAN, size, "undisturbed") for size in (1, 2, 5)), *((STEPS, size, "budgeted") for size in (1, 2))],
+)
+def test_lost_trials_end_as_undisturbed_ones(
+    plan: Plan, size: int, whole: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    pool = Unreliable(size, losses())
+    with create_run(tmp_path / "run", plan) as store:
         hand_out(store, pool)
         lost = [event.trial_id for event in store.events() if event.kind == "lost"]
-    assert contents(tmp_path / "run") == contents(undisturbed)
+    assert contents(tmp_path / "run") == contents(request.getfixturevalue(whole))
     assert sorted(lost, key=str) == [FIRST] * 4 + [SECOND, THIRD]
     assert pool.most_at_a_time == min(size, 3)
 
@@ -191,25 +199,6 @@ def test_an_interrupted_run_says_how_to_continue_as_it_was_begun(tmp_path: Path)
     assert command in reporter.said[-1]
 
 
-@pytest.mark.parametrize(
-    ("config", "plan", "message"),
-    [
-        (RunConfig(workers=2, meeting=Meeting(hub=HubOptions(session="a"))), PLAN, "its own hub"),
-        (
-            RunConfig(backend=Backend.RAY, meeting=Meeting(hub=HubOptions(hub="tcp://h:1"))),
-            PLAN,
-            "its own hub",
-        ),
-        (RunConfig(Meeting(BOTH, HubOptions(bind=("ipc://x",)))), PLAN, "with --in-process there is no hub"),
-        (RunConfig(workers=2), Plan(episodes=1, agents=PLAN.agents), "--env NAME is missing"),
-        (RunConfig(HERE), Plan(episodes=1, environments=PLAN.environments), "--agent NAME is missing"),
-    ],
-)
-def test_what_cannot_be_carried_out_is_said_beforehand(config: RunConfig, plan: Plan, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        check_players(config, plan)
-
-
 def test_episodes_are_stored_together_before_anybody_hears_of_them(tmp_path: Path) -> None:
     heard: list[int] = []
 
@@ -233,25 +222,13 @@ def test_episodes_are_stored_together_before_anybody_hears_of_them(tmp_path: Pat
         assert heard == [2, 2, 3]
 
 
-STEPS = replace(PLAN, episodes=0, steps=333)
-
-
 def steps_of(directory: Path) -> list[int]:
     with Results.open(directory) as results:
         return [sum(e.steps for e in results.episodes(trial.spec.id)) for trial in results.trials()]
 
 
-@pytest.fixture(scope="module")
-def budgeted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    directory = tmp_path_factory.mktemp("budgeted") / "run"
-    with create_run(directory, STEPS) as store:
-        assert run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent()) == 0
-    return directory
-
-
 def test_a_budget_of_steps_cuts_off_the_last_episode(budgeted: Path, tmp_path: Path) -> None:
-    with create_run(tmp_path / "run", replace(PLAN, episodes=40)) as store:
-        run_trials(store, RunConfig(HERE), Silent())
+    with Results.open(play(tmp_path / "run", replace(PLAN, episodes=40))) as store:
         whole = {trial.spec.id: store.episodes(trial.spec.id) for trial in store.trials()}
     assert steps_of(budgeted) == [333] * 3
     with Results.open(budgeted) as results:
@@ -266,16 +243,8 @@ def test_a_budget_of_steps_cuts_off_the_last_episode(budgeted: Path, tmp_path: P
     )
 
 
-@pytest.mark.parametrize("size", [1, 2])
-def test_lost_trials_with_a_budget_end_as_undisturbed_ones(budgeted: Path, tmp_path: Path, size: int) -> None:
-    with create_run(tmp_path / "run", STEPS) as store:
-        hand_out(store, Unreliable(size, {FIRST: [0, 3, 7, 0], SECOND: [11], THIRD: [12]}))
-    assert contents(tmp_path / "run") == contents(budgeted)
-
-
 def test_a_larger_budget_extends_a_run_to_the_same_results(budgeted: Path, tmp_path: Path) -> None:
-    with create_run(tmp_path / "run", replace(STEPS, steps=150)) as store:
-        run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent())
+    play(tmp_path / "run", replace(STEPS, steps=150))
     with open_run(tmp_path / "run", STEPS) as store:
         assert run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent()) == 0
     assert contents(tmp_path / "run") == contents(budgeted)
@@ -295,15 +264,14 @@ def test_metrics_of_lost_trials_are_those_of_undisturbed_ones(
 ) -> None:
     plan = replace(PLAN, metrics=MetricsPlan(every, KEPT))
     found = []
-    disturbed: dict[str, list[int]] = {FIRST: [0, 3, 7, 0], SECOND: [11], THIRD: [12]}
-    for name, losses in (("undisturbed", {}), ("lost", disturbed)):
+    for name, lost in (("undisturbed", {}), ("lost", losses())):
         with create_run(tmp_path / name, plan) as store:
 
             def make_job(spec: TrialSpec, start: Start) -> Job:
                 return Job(spec, HERE, start, checkpoint_every, metrics=plan.metrics)
 
             trials = Trials(store, Silent(), make_job)
-            Dispatcher[Job, Report](Unreliable(2, losses), trials, Interrupts()).run(
+            Dispatcher[Job, Report](Unreliable(2, lost), trials, Interrupts()).run(
                 trial.trial_id for trial in remaining(store)
             )
             found.append([[[*map(str, row)] for row in rows] for rows in metric_table(store).rows])

@@ -64,10 +64,8 @@ def chosen(directory: Path) -> dict[str, list[dict[str, object]]]:
 
 
 def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
-    assert parse_plan(dump_plan(PLAN)) == PLAN
-    assert parse_plan(dump_plan(searching(sampler="grid", prune=True))) == searching(
-        sampler="grid", prune=True
-    )
+    for plan in PLAN, searching(sampler="grid", prune=True):
+        assert parse_plan(dump_plan(plan)) == plan
 
 
 @pytest.mark.parametrize(
@@ -82,7 +80,7 @@ def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
         ("[tune.agents.sarsa]\nstep_size = {low = 1.0, high = 0.1}", "greater"),
         ("[tune.agents.sarsa]\nstep_size = {low = 0.0, high = 0.1, log = true}", "above 0"),
         (
-            "[tune.agents.sarsa]\nstep_size = {low = 0x" + 5000 * "f" + ", high = 1}",
+            f"[tune.agents.sarsa]\nstep_size = {{low = 0x{5000 * 'f'}, high = 1}}",
             "from a number of thousands",
         ),
         ("[tune.agents.sarsa]\nstep_size = {lo = 0.1, high = 0.2}", "low"),

@@ -20,7 +20,7 @@ from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment, local
-from glue.errors import GlueError, PeerFailed, PeerLost
+from glue.errors import GlueError, PeerLost
 from glue.roles import Agent, Environment
 from glue.types import Action, Step
 from glue.wire.messages import Kind
@@ -34,6 +34,7 @@ class Kept:
     def __init__(self) -> None:
         self.results: list[EpisodeResult] = []
         self.checkpoints: dict[int, Checkpoint] = {}
+        self.answers: list[tuple[Answer, ...]] = []
         self.voids: list[int] = []
         self.events: list[str] = []
         self.said: list[str] = []
@@ -47,6 +48,7 @@ class Kept:
     ) -> None:
         assert not self.results or result.episode == self.results[-1].episode + 1
         self.results.append(result)
+        self.answers.append(answers)
         if checkpoint is not None:
             self.checkpoints[result.episode] = checkpoint
 
@@ -174,49 +176,27 @@ def test_episode_that_cannot_be_repeated_is_noted() -> None:
     assert "differs" in kept.events
 
 
-def test_player_that_fails_ends_the_trial_and_what_came_before_stays() -> None:
-    class Failing(SarsaAgent):
-        episodes = 0
+class Untidy(SarsaAgent):
+    def __init__(self, how: BaseException) -> None:
+        super().__init__()
+        self._how = how
 
-        def agent_start(self, observation: Any) -> Any:
-            self.episodes += 1
-            if self.episodes == 5:
-                raise ValueError("a mistake")
-            return super().agent_start(observation)
+    def agent_cleanup(self) -> None:
+        raise self._how
 
+
+@pytest.mark.parametrize(
+    "glue",
+    [
+        lambda: local(Untidy(ValueError("untidy")), mines()),
+        lambda: local(Untidy(SystemExit(3)), mines()),
+        lambda: Lossy({Kind.RL_CLEANUP: {1}}, SarsaAgent),
+    ],
+    ids=["error", "exit", "loss"],
+)
+def test_cleanup_that_fails_takes_nothing_from_a_finished_trial(glue: Callable[[], Experiment]) -> None:
     kept = Kept()
-    with pytest.raises(PeerFailed, match="ValueError: a mistake"):
-        run_trial(local(Failing(), mines()), SPEC, kept)
-    assert kept.numbers == undisturbed().numbers[:4]
-
-
-def test_players_are_cleaned_up_at_the_end() -> None:
-    cleaned: list[bool] = []
-
-    class Tidy(SarsaAgent):
-        def agent_cleanup(self) -> None:
-            cleaned.append(True)
-            super().agent_cleanup()
-
-    run_trial(local(Tidy(), mines()), SPEC, Kept())
-    assert cleaned == [True]
-
-
-@pytest.mark.parametrize("how", [ValueError("untidy"), SystemExit(3)])
-def test_cleanup_that_fails_takes_nothing_from_a_finished_trial(how: BaseException) -> None:
-    class Untidy(SarsaAgent):
-        def agent_cleanup(self) -> None:
-            raise how
-
-    kept = Kept()
-    run_trial(local(Untidy(), mines()), SPEC, kept)
-    assert kept.numbers == undisturbed().numbers
-    assert kept.events == ["cleanup"]
-
-
-def test_player_lost_in_its_cleanup_takes_nothing_from_a_finished_trial() -> None:
-    kept = Kept()
-    run_trial(Lossy({Kind.RL_CLEANUP: {1}}, SarsaAgent), SPEC, kept)
+    run_trial(glue(), SPEC, kept)
     assert kept.numbers == undisturbed().numbers
     assert kept.events == ["cleanup"]
 

@@ -4,6 +4,7 @@ import contextlib
 import math
 import re
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,41 +20,35 @@ from glue.errors import GlueError, PeerFailed, PeerLost, Refused
 from glue.hub.config import LegacyPort
 from glue.types import Action, Observation, Step
 
+LOCAL = "tcp://127.0.0.1:*"
+REMOTE = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
+
 
 class Heard(Exception):
     """The hint was given."""
 
 
 @pytest.mark.parametrize(
-    ("bind", "shown"),
+    ("hub", "hint"),
     [
-        ("tcp://0.0.0.0:*", "tcp://HOST:"),
-        ("tcp://*:*", "tcp://HOST:"),
-        ("tcp://127.0.0.1:*", "tcp://127.0.0.1:"),
+        (HubOptions(bind=("tcp://0.0.0.0:*",), insecure=True), r"--hub tcp://HOST:\d+"),
+        (HubOptions(bind=("tcp://*:*",), insecure=True), r"--hub tcp://HOST:\d+"),
+        (HubOptions(bind=(LOCAL,)), r"glue-agent hierarchical --hub tcp://127\.0\.0\.1:\d+"),
+        (
+            HubOptions(bind=(LOCAL,), session="b", legacy=(LegacyPort(0), LegacyPort(0, "b"))),
+            r"--session b; or an original one on 127\.0\.0\.1:\d+",
+        ),
     ],
 )
-def test_hint_has_an_address_at_which_others_can_join(bind: str, shown: str) -> None:
+def test_hint_says_where_others_can_join(hub: HubOptions, hint: str) -> None:
     def say(line: str) -> None:
         if line.startswith("waiting for an agent"):
             raise Heard(line)
 
-    spec = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
-    meeting = Meeting(hub=HubOptions(bind=(bind,), insecure=True))
-    hint = rf"(?m)glue-agent hierarchical --hub {shown}\d+$"
-    with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
-        raise AssertionError("nobody was missing")
-
-
-def test_hint_names_the_port_at_which_an_original_program_of_the_session_can_join() -> None:
-    def say(line: str) -> None:
-        if line.startswith("waiting for an agent"):
-            raise Heard(line)
-
-    spec = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
-    ports = (LegacyPort(0), LegacyPort(0, "b"))
-    meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",), session="b", legacy=ports))
-    hint = r"(?m)--session b; or an original one on 127\.0\.0\.1:\d+$"
-    with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
+    with (
+        pytest.raises(Heard, match=f"(?m){hint}$"),
+        open_experiment(REMOTE, Meeting(hub=hub), say, lambda: 0),
+    ):
         raise AssertionError("nobody was missing")
 
 
@@ -68,9 +63,8 @@ def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
                 serve_environment(MinesEnvironment(), found[1])
             raise Heard
 
-    spec = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
-    meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",)))
-    with pytest.raises(Heard), open_experiment(spec, meeting, say, lambda: 0):
+    meeting = Meeting(hub=HubOptions(bind=(LOCAL,)))
+    with pytest.raises(Heard), open_experiment(REMOTE, meeting, say, lambda: 0):
         raise AssertionError("nobody was missing")
     assert hub
 
@@ -149,10 +143,8 @@ def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
         with contextlib.suppress(KeyboardInterrupt):
             serve_agent(Leaving(), url)
 
-    spec = TrialSpec(
-        TrialId("remote/skeleton/0"), None, RoleSpec("skeleton"), episodes=1, max_steps=9, seed=1
-    )
-    meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",)))
+    spec = replace(REMOTE, environment=RoleSpec("skeleton"))
+    meeting = Meeting(hub=HubOptions(bind=(LOCAL,)))
     with open_experiment(spec, meeting, say, lambda: 0) as glue:
         glue.rl_init(1)
         with pytest.raises(PeerLost):

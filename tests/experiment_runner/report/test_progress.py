@@ -75,6 +75,14 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return Terminal()
 
 
+def begun(stream: io.StringIO, clock: Clock, *specs: TrialSpec) -> Progress:
+    progress = Progress(stream, clock)
+    progress.start(records(*specs))
+    for spec in specs:
+        progress.begin(spec, 0, 0)
+    return progress
+
+
 def test_table_of_one_trial_shows_rate_mean_and_time_left(terminal: Terminal, clock: Clock) -> None:
     progress = Progress(terminal, clock)
     progress.start(records(FIRST, done=10))
@@ -93,9 +101,7 @@ def test_table_of_one_trial_shows_rate_mean_and_time_left(terminal: Terminal, cl
 def test_episode_that_does_not_end_shows_its_steps_and_what_ends_it(terminal: Terminal, clock: Clock) -> None:
     log = io.StringIO()
     limited = replace(FIRST, max_steps=9)
-    for progress in (Progress(terminal, clock), Progress(log, clock)):
-        progress.start(records(FIRST))
-        progress.begin(FIRST, 0, 0)
+    for progress in (begun(terminal, clock, FIRST), begun(log, clock, FIRST)):
         clock.now += 10
         progress.playing(FIRST, 1, 120_000)
     line = "sarsa/mines/0: episode 1 has 120,000 steps so far; --max-steps N (max_steps in a plan) cuts such"
@@ -113,9 +119,7 @@ def test_episode_that_does_not_end_shows_its_steps_and_what_ends_it(terminal: Te
 def test_trial_has_the_name_of_its_player_from_outside_once_that_has_joined(
     terminal: Terminal, clock: Clock
 ) -> None:
-    progress = Progress(terminal, clock)
-    progress.start(records(FIRST))
-    progress.begin(FIRST, 0, 0)
+    progress = begun(terminal, clock, FIRST)
     progress.rename(FIRST, "Jumper/mines/0")
     clock.now += 0.5
     progress.episode(FIRST, result(1))
@@ -166,10 +170,7 @@ def test_table_fits_the_terminal(terminal: Terminal, clock: Clock) -> None:
 
 def test_narrow_terminal_shows_what_matters_most(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "40")
-    progress = Progress(terminal, Clock())
-    progress.start(records(FIRST))
-    progress.begin(FIRST, 0, 0)
-    progress.episode(FIRST, result(25))
+    begun(terminal, Clock(), FIRST).episode(FIRST, result(25))
     assert terminal.screen()[:2] == ["trial          episode  left", "sarsa/mines/0    25/50   0 s"]
     assert terminal.screen()[2].endswith(" 50%")
     assert all(len(line) < 40 for line in terminal.screen())
@@ -185,9 +186,7 @@ def test_bar_has_a_color_unless_that_is_not_wanted(terminal: Terminal, color: bo
 
 
 def test_trial_that_goes_back_counts_its_episodes_once(terminal: Terminal, clock: Clock) -> None:
-    progress = Progress(terminal, clock)
-    progress.start(records(FIRST, SECOND))
-    progress.begin(FIRST, 0, 0)
+    progress = begun(terminal, clock, FIRST, SECOND)
     for episode in (1, 2, 3):
         progress.episode(FIRST, result(episode))
     progress.begin(FIRST, 1, 0)
@@ -199,9 +198,7 @@ def test_trial_that_goes_back_counts_its_episodes_once(terminal: Terminal, clock
 
 def test_without_a_terminal_a_line_is_written_every_few_seconds(clock: Clock) -> None:
     stream = io.StringIO()
-    progress = Progress(stream, clock)
-    progress.start(records(FIRST))
-    progress.begin(FIRST, 0, 0)
+    progress = begun(stream, clock, FIRST)
     for episode in range(1, 26):
         clock.now += 0.5
         progress.episode(FIRST, result(episode))

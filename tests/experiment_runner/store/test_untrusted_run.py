@@ -226,6 +226,8 @@ def test_merge_that_fails_keeps_a_directory_that_was_there(run: Path, tmp_path: 
     assert (out / PLAN_FILE).read_text() == "episodes = 3  # my plan\n"
     change(run, "UPDATE checkpoints SET agent = 'text'")
     (tmp_path / "empty").mkdir()
-    with Results.open(run) as results, pytest.raises(ExperimentError, match="damaged"):
-        merge([results], tmp_path / "empty")
+    for name in ("empty", "new"):
+        with Results.open(run) as results, pytest.raises(ExperimentError, match="damaged"):
+            merge([results], tmp_path / name)
     assert list((tmp_path / "empty").iterdir()) == []
+    assert not (tmp_path / "new").exists()
