@@ -233,7 +233,6 @@ class _Files(FunctionCache):
     """
 
     _impl_class: Any
-    _cache_file: Any
 
     def load_overload(self, sig: object, target_context: object) -> Any:
         """Return machine code made from the present sources; None if there is none."""
@@ -271,14 +270,10 @@ class _Cache(_Files):
             found = self._load(sig, target_context)
         return found
 
-    def _load(self, sig: object, target_context: Any) -> Any:
+    def _load(self, sig: object, target_context: object) -> Any:
         found = super().load_overload(sig, target_context)
         if found is None and self._copy is not None:
             found = self._copy.load_overload(sig, target_context)
-            if found is not None:
-                key = self._index_key(sig, target_context.codegen())
-                with suppress(OSError):  # put it back, for other users
-                    self._cache_file.save(key, self._copy._cache_file.load(key))
         return found
 
     def save_overload(self, sig: object, data: object) -> None:
