@@ -2,10 +2,9 @@
 
 Both return the function compiled to machine code that runs without the interpreter's lock, so that
 several threads can use several cores. No fast-math: every float operation is rounded as written. An
-entry's machine code is cached on disk, next to the source and in the user's cache folder; code cached next to
-the source is read even where nothing can be written, as in a container whose file system is read-only, and
-that in the user's folder survives an installer that removes the other. With NUMBA_DISABLE_JIT=1 both return
-the function unchanged.
+entry's machine code is cached on disk, next to the source or, where that is not writable, in the user's
+cache folder; code cached next to the source is read even where nothing can be written, as in a container
+whose file system is read-only. With NUMBA_DISABLE_JIT=1 both return the function unchanged.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, Final, TypeVar, cast
 
@@ -61,7 +60,7 @@ def entry(function: Function) -> Function:
         return function
     compiled: Any = CPUDispatcher(function, targetoptions=dict(_OPTIONS))
     with suppress(RuntimeError):  # no folder is writable: compile in every process
-        compiled._cache = _Cache(function)  # type: ignore[no-untyped-call]
+        compiled._cache = _Cache(function)
     return cast(Function, compiled)
 
 
@@ -204,7 +203,7 @@ class _Announcement(event.Listener):
             say(f"compiled {self._what} in {clock.monotonic() - self._began:.0f} s")
 
 
-_given, _in_tree, _of_user, *_others = cast("list[Any]", CompileResultCacheImpl._locator_classes)
+_given, _in_tree, *_others = cast("list[Any]", CompileResultCacheImpl._locator_classes)
 """The locators of numba's cache: NUMBA_CACHE_DIR, next to the source, the user's cache folder, and so on."""
 
 
@@ -218,71 +217,35 @@ class _FilledLocator(_in_tree):  # type: ignore[misc, valid-type]
 
 
 class _CacheImpl(CompileResultCacheImpl):
-    _locator_classes = [_given, _FilledLocator, _in_tree, _of_user, *_others]  # noqa: RUF012
+    _locator_classes = [_given, _FilledLocator, _in_tree, *_others]  # noqa: RUF012
 
 
-class _UserCacheImpl(CompileResultCacheImpl):
-    _locator_classes = [_given, _of_user]  # noqa: RUF012
-
-
-class _Files(FunctionCache):
+class _Cache(FunctionCache):
     """numba's cache on disk, invalidated by a change to any module of the packages that it is made from.
 
     numba itself checks only the file that defines the entry, and would keep using machine code of an older
-    version of a function that the entry calls; its older versions compile when that file is written anew.
+    version of a function that the entry calls.
     """
-
-    _impl_class: Any
-
-    def load_overload(self, sig: object, target_context: object) -> Any:
-        """Return machine code made from the present sources; None if there is none."""
-        self._cache_file._source_stamp = _sources(self._py_func)
-        return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-
-    def _index_key(self, sig: object, codegen: object) -> tuple[object, ...]:
-        key = super()._index_key(sig, codegen)  # type: ignore[no-untyped-call]
-        return (*key, bool(config.BOUNDSCHECK))  # type: ignore[attr-defined]
-
-
-class _UserFiles(_Files):
-    _impl_class = _UserCacheImpl
-
-
-class _Cache(_Files):
-    """Machine code next to the source, and a copy in the user's cache folder."""
 
     _impl_class = _CacheImpl
     _locks: ClassVar[dict[Path, int]] = {}
     """File descriptors of the locks that this process holds, by name: it is compiling those entries."""
 
-    @cached_property
-    def _copy(self) -> _Files | None:
-        """The user's cache; None if this is it, or the user has none."""
-        with suppress(RuntimeError):
-            copy = _UserFiles(self._py_func)  # type: ignore[no-untyped-call]
-            return None if copy.cache_path == self.cache_path else copy
-        return None
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        self._function = function
 
     def load_overload(self, sig: object, target_context: object) -> Any:
         """Return cached machine code; None if this process has to compile it while others wait."""
-        found = self._load(sig, target_context)
+        found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         if found is None and self._lock():
-            found = self._load(sig, target_context)
-        return found
-
-    def _load(self, sig: object, target_context: object) -> Any:
-        found = super().load_overload(sig, target_context)
-        if found is None and self._copy is not None:
-            found = self._copy.load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         return found
 
     def save_overload(self, sig: object, data: object) -> None:
         """Save machine code, unless the cache is read-only."""
         with suppress(OSError):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
-        if self._copy is not None:
-            with suppress(OSError):
-                self._copy.save_overload(sig, data)  # type: ignore[no-untyped-call]
         self.release(self._lock_name)
 
     @property
@@ -321,11 +284,11 @@ class _Cache(_Files):
             if name in cls._locks:
                 os.close(cls._locks.pop(name))
 
-
-def _sources(function: Callable[..., Any]) -> list[bytes]:
-    """Return the digests of all packages that `function` is compiled from."""
-    packages = sorted({_package(Path(part.__code__.co_filename)) for part in _parts(function)})
-    return [_digest(sources) for sources in (*packages, Path(__file__).parent)]
+    def _index_key(self, sig: object, codegen: object) -> tuple[object, ...]:
+        key = super()._index_key(sig, codegen)  # type: ignore[no-untyped-call]
+        packages = sorted({_package(Path(part.__code__.co_filename)) for part in _parts(self._function)})
+        digests = [_digest(sources) for sources in (*packages, Path(__file__).parent)]
+        return (*key, *digests, bool(config.BOUNDSCHECK))  # type: ignore[attr-defined]
 
 
 def _parts(function: Callable[..., Any]) -> set[Callable[..., Any]]:

@@ -6,7 +6,6 @@ import fcntl
 import io
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -101,15 +100,6 @@ def test_compiling_is_said_once_for_each_state_of_the_code(program: Path) -> Non
     assert re.fullmatch(r"compiled the rules in \d+ s", after)
     assert run(program) == ""
     assert "compiling" in run(program, factor=3)  # a rule in another package has changed
-
-
-def test_installing_the_same_code_anew_compiles_nothing(program: Path, tmp_path: Path) -> None:
-    home = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": ""}
-    assert "compiling" in run(program, environment=home)
-    for file in [*program.parent.glob("*/*.py")]:
-        os.utime(file, (1, 1))
-        shutil.rmtree(file.parent / "__pycache__", ignore_errors=True)
-    assert run(program, environment=home) == ""
 
 
 @pytest.mark.stage("proof")
