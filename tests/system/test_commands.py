@@ -201,6 +201,7 @@ def test_commands_import_nothing_slow_that_they_do_not_need(tmp_path: Path) -> N
     slow = {"scipy", "numba", "msgspec", "matplotlib", "experiment_runner.executors.search"}
     hub = {"zmq", "glue.hub.sessions", "glue.hub.io.server", "glue.client.players", "glue.legacy.gateway"}
     assert "numpy" in played & shown
+    assert found[1]["spin"] == "16"  # NumPy's threads sleep at once
     assert not (slow | hub) & (played | shown)
 
 
@@ -211,6 +212,7 @@ def run(case, found):
         runpy.run_path(sys.argv[0], run_name="__main__")
     finally:
         found["modules"] = list(sys.modules)
+        found["spin"] = os.environ.get("OPENBLAS_THREAD_TIMEOUT")
 """
 
 
