@@ -65,7 +65,7 @@ pytest: compile
 
 # The full sizes take minutes each, several times as long on a slow machine.
 proof: compile
-	GLUE_PROOF=full $(BIN)/python -m pytest --stage all -m proof --timeout=1200 $(PARALLEL)
+	GLUE_PROOF=full $(BIN)/python -m pytest --stage=all -m proof --timeout=1200 $(PARALLEL)
 
 # A few tests fail here, as coverage imports modules and writes files of its own; the report follows anyway.
 coverage: compile

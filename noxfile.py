@@ -52,7 +52,7 @@ def package(session: nox.Session) -> None:
     session.install("build", *TESTING, "--editable", ".")
     session.run("pyproject-build", "--outdir", str(DIST))
     tests = ["tests/package/test_distributions.py", "tests/package/test_names.py"]
-    session.run("pytest", "--stage", "package", *tests, *session.posargs, env={"GLUE_DIST": str(DIST)})
+    session.run("pytest", "--stage=package", *tests, *session.posargs, env={"GLUE_DIST": str(DIST)})
 
 
 @nox.session(default=False)
@@ -68,7 +68,7 @@ def site(session: nox.Session) -> None:
     """Build the site without warnings, and check it in Chromium, with axe-core if AXE_CORE names it."""
     session.install("--editable", ".[docs]", *TESTING, "selenium>=4.20")
     session.run("sphinx-build", "--fail-on-warning", "--keep-going", "--quiet", "docs", SITE)
-    tests = ["--stage", "site", "tests/package/test_site.py"]
+    tests = ["--stage=site", "tests/package/test_site.py"]
     session.run("pytest", *tests, *session.posargs, env={"GLUE_SITE": SITE})
 
 
@@ -79,7 +79,7 @@ def libraries(session: nox.Session) -> None:
     others = ["dm-env", "mlflow", "PyExpUtils-andnp", "rlglue-andnp"]
     session.install("--editable", f".[{extras}]", *others, *TESTING)
     for stage in session.posargs or LIBRARIES:
-        session.run("pytest", "--stage", stage, LIBRARIES[stage])
+        session.run("pytest", f"--stage={stage}", LIBRARIES[stage])
 
 
 @nox.session(default=False)

@@ -1,6 +1,6 @@
 """Configuration of all tests: stages, modules such as `tests.players` made importable, and Ctrl-C.
 
-`make test` runs the tests that have no stage, and `pytest --stage NAME` those of one stage of `.ci/run`. A
+`make test` runs the tests that have no stage, and `pytest --stage=NAME` those of one stage of `.ci/run`. A
 test has a stage because its folder or module is in `FOLDERS`, or by the marker `stage`.
 
 Modules with slow tests run first, so that the other processes do not wait for one of them at the end. All

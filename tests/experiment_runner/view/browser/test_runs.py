@@ -45,7 +45,7 @@ def test_a_run_shows_the_numbers_of_the_store(browser: Browser, page: Page, fold
     (row,) = browser.has_table("Results, by setting")
     with Results.open(folder / "named") as results:
         (setting,) = setting_numbers(collect([results]))
-        seeds = [str(trial.spec.seed) for trial in results.trials()]
+        seeds = [f"{seed[:3]}…{seed[-3:]}" for seed in (str(trial.spec.seed) for trial in results.trials())]
     assert row[0] == NAME
     assert [trial[1] for trial in browser.has_table("Trials")] == seeds
     assert row[3:5] == [f"{setting['mean']:,.2f}", f"{setting['low']:,.2f} to {setting['high']:,.2f}"]
