@@ -111,50 +111,6 @@ def test_it_has_no_privileges_and_no_network(run: Run) -> None:
     assert {"rw", "nosuid", "nodev", "noexec"} <= set(mounts["/tmp"])
 
 
-_SOCKETS = """
-import socket
-found = set()
-for family in range(64):
-    for kind in range(1, 11):
-        for protocol in range(30):
-            try: socket.socket(family, kind, protocol).close()
-            except OSError: continue
-            found.add((family, protocol if family == socket.AF_NETLINK else 0))
-print(*sorted(found))
-"""
-
-
-def test_it_can_make_sockets_of_its_hub_and_of_its_loopback_interface_only(run: Run) -> None:
-    """Without our own profile, Debian's engine lets a jail make AF_VSOCK and AF_XDP as well."""
-    assert printed(run(_SOCKETS)) == "(1, 0) (2, 0) (10, 0) (16, 0)\n"
-
-
-_LOAD = """
-from pathlib import Path
-names = [f'/proc/{name}' for name in ('loadavg', 'stat', 'meminfo', 'vmstat', 'uptime', 'interrupts')]
-paths = [*map(Path, names), *Path('/proc/sys/fs').rglob('*'), *Path('/sys/devices/system/node').rglob('*')]
-paths += [*Path('/sys/devices/system/cpu').glob('cpu*/*/*'), *Path('/sys/block').glob('*/stat')]
-print(*(path for path in paths if path.is_file() and path.read_text()))
-"""
-
-
-def test_it_does_not_see_the_load_of_the_machine(run: Run) -> None:
-    assert printed(run(_LOAD)) == "\n"
-
-
-def test_what_it_may_use_is_limited(engine: Any, run: Run, launch: Launch) -> None:
-    run("import time; time.sleep(1000)")
-    (container,) = engine.containers.list(filters={"label": f"{LABEL}={launch.run}"})
-    settings = container.attrs["HostConfig"]
-    assert settings["Memory"] == settings["MemorySwap"] == _LIMITS.memory
-    assert settings["PidsLimit"] == _LIMITS.pids
-    assert settings["NanoCpus"] == 500_000_000
-    assert settings["ShmSize"] == _LIMITS.shm
-    assert settings["Init"] is True
-    assert settings["CapDrop"] == ["ALL"]
-    assert settings["NetworkMode"] == "none"
-
-
 def test_disks_are_full_at_their_limits(run: Run) -> None:
     said = printed(
         run(
@@ -166,20 +122,7 @@ def test_disks_are_full_at_their_limits(run: Run) -> None:
             "    except OSError as error: print(folder, written // 2 ** 20)\n"
         )
     )
-    assert said.split() == [
-        "/tmp",
-        "2",
-        "/dev/shm",
-        "3",
-        "/var/tmp",
-        "0",
-        "/run/glue",
-        "0",
-        "/dev",
-        "0",
-        "/",
-        "0",
-    ]
+    assert " ".join(said.split()) == "/tmp 2 /dev/shm 3 /var/tmp 0 /run/glue 0 /dev 0 / 0"
 
 
 @pytest.mark.parametrize("program", [_EATER, _PARENT_OF_AN_EATER])
@@ -404,19 +347,9 @@ def test_an_image_with_a_volume_could_fill_the_disk(image: Callable[..., str]) -
         Containers().check(Entrant("alice", image=image("VOLUME /data", "CMD id")), _LIMITS)
 
 
-def test_an_image_without_a_command_has_nothing_to_run(image: Callable[..., str]) -> None:
-    with pytest.raises(ConfigError, match="has nothing to run"):
-        Containers().check(Entrant("alice", image=image("CMD []")), _LIMITS)
-
-
 def test_an_image_that_is_not_here(engine: Any) -> None:
     with pytest.raises(ConfigError, match=r"the image alice/agent:1 is not on this machine: .*docker pull"):
         Containers().check(Entrant("alice", image="alice/agent:1"), _LIMITS)
-
-
-def test_several_at_once(run: Run) -> None:
-    containers = [run("print('here')") for _ in range(4)]
-    assert [printed(container) for container in containers] == ["here\n"] * 4
 
 
 def test_an_engine_elsewhere_cannot_reach_the_hub(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,8 +23,6 @@ pytestmark = pytest.mark.timeout(1200)
 
 _REASONS = {
     "sleeps": "its bank of 3 s is empty",
-    "drains": "its bank of 3 s is empty",
-    "absent": "did not connect within 30 s",
     "crashes": "its program ended with status 3",
     "bombs": "its program used more than 256 MiB of memory",
     "fills": "its program ended with status 4",
@@ -179,17 +177,6 @@ def test_nothing_was_found_or_reached(held: Held) -> None:
             )
         for treasure in (_SECRET, str(held.directory), "competition.toml", "results.sqlite"):
             assert treasure not in log
-
-
-def test_the_disk_was_full_at_its_limit(held: Held) -> None:
-    log = held.log("fills")
-    assert "/tmp: No space left on device after 16 MiB" in log
-    assert "/run/glue: Read-only file system after 0 MiB" in log
-
-
-def test_what_was_printed_was_kept_up_to_its_limit(held: Held) -> None:
-    assert "the last words of crashes" in held.log("crashes")
-    assert 0 < len(held.log("shouts")) <= 256 * 1024
 
 
 def test_the_memory_of_the_hubs_stayed_bounded(held: Held, alone: Held) -> None:

@@ -11,7 +11,6 @@ from tests.jails.hostile.honest import Honest, play
 class Crashes(Honest):
     def act(self) -> Action:
         if self.steps == 20:
-            print("the last words of crashes")
             os._exit(3)
         return super().act()
 

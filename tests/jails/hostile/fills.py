@@ -10,16 +10,8 @@ from glue.types import Action
 from tests.jails.hostile.honest import Honest, play
 
 _FOLDERS = (
-    "/tmp",
-    "/dev/shm",
-    "/var/tmp",
-    "/run",
-    "/run/glue",
-    "/home/glue",
-    "/dev",
-    "/dev/mqueue",
-    "/proc",
-    ".",
+    *("/tmp", "/dev/shm", "/var/tmp", "/run", "/run/glue", "/home/glue", "/dev", "/dev/mqueue"),
+    *("/proc", "."),
 )
 
 
