@@ -33,6 +33,7 @@ class Kept:
 
     def __init__(self) -> None:
         self.results: list[EpisodeResult] = []
+        self.answers: list[tuple[Answer, ...]] = []
         self.checkpoints: dict[int, Checkpoint] = {}
         self.voids: list[int] = []
         self.events: list[str] = []
@@ -47,6 +48,7 @@ class Kept:
     ) -> None:
         assert not self.results or result.episode == self.results[-1].episode + 1
         self.results.append(result)
+        self.answers.append(answers)
         if checkpoint is not None:
             self.checkpoints[result.episode] = checkpoint
 

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
+from agents.tabular import SarsaAgent
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.executors.trial import run_trial
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.merge import merge
-from experiment_runner.store.records import MAX_ANSWER, Answer, Answered, Checkpoint, EpisodeResult
+from experiment_runner.store.records import MAX_ANSWER, Answer, Answered
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from glue.engine.experiment import Experiment
-from glue.engine.local import LocalExperiment, local
-from glue.errors import PeerLost
 from glue.trajectory import TrajectoryReader
 from glue.wire.messages import Kind
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.experiment_runner.executors.test_trial import Kept, Lossy
 from tests.system.runs import contents
 
 
@@ -86,55 +83,17 @@ def test_answers_go_back_with_their_episodes_and_are_merged() -> None:
         assert store.answers(trial.spec.id) == found[:2]
 
 
-class Sink:
-    """Keeps the answers of a trial."""
-
-    def __init__(self) -> None:
-        self.answers: list[tuple[Answer, ...]] = []
-        self.voids: list[int] = []
-
-    def record(
-        self,
-        result: EpisodeResult,
-        checkpoint: Checkpoint | None,
-        answers: tuple[Answer, ...],
-        metrics: object,
-    ) -> None:
-        self.answers.append(answers)
-
-    def void(self, episode: int, why: str) -> None:
-        self.voids.append(episode)
-
-    def event(self, kind: str, text: str) -> None: ...
-
-    def say(self, line: str) -> None: ...
-
-
-class Wordy(ScriptedAgent):
+class Wordy(SarsaAgent):
     """Answers with more text than is kept, and with text that is not Unicode."""
 
     def agent_message(self, message: str) -> str:
         return "\ud800" + message * MAX_ANSWER
 
 
-class Lossy(Experiment):
-    """Loses the agent when it is asked for the second time."""
-
-    def __init__(self, inner: LocalExperiment) -> None:
-        self._inner = inner
-        self._asked = 0
-
-    def _call(self, kind: Kind, scalars: tuple[Any, ...] = (), body: Any = None) -> tuple[Any, Any]:
-        self._asked += kind is Kind.RL_AGENT_MESSAGE
-        if kind is Kind.RL_AGENT_MESSAGE and self._asked == 2:
-            raise PeerLost("gone")
-        return self._inner._call(kind, scalars, body)
-
-
 def test_an_agent_that_is_lost_when_it_is_asked_plays_the_episode_again() -> None:
-    sink = Sink()
+    kept = Kept()
     spec = TrialSpec(TrialId("a/b/0"), None, None, episodes=2, max_steps=5, seed=1)
-    run_trial(Lossy(local(Wordy(), ScriptedEnvironment())), spec, sink, questions=["ab"])
-    kept = Answer("ab", ("?" + "ab" * MAX_ANSWER)[:MAX_ANSWER])
-    assert sink.answers == [(kept,), (kept,)]
-    assert sink.voids == [2]
+    run_trial(Lossy({Kind.RL_AGENT_MESSAGE: {2}}, Wordy), spec, kept, questions=["ab"])
+    answer = Answer("ab", ("?" + "ab" * MAX_ANSWER)[:MAX_ANSWER])
+    assert kept.answers == [(answer,), (answer,)]
+    assert kept.voids == [2]
