@@ -8,13 +8,13 @@ import io
 import json
 import os
 import random
+import re
 import shutil
 import sqlite3
 import struct
 import subprocess
 import sys
 from contextlib import closing
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -172,28 +172,12 @@ def test_csv_has_a_line_for_each_entrant(held: Path) -> None:
     assert "seeds" not in rows[0]
 
 
-class Page(HTMLParser):
-    """The tags of a page, and the addresses that they would fetch."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tags: set[str] = set()
-        self.fetched: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-        self.fetched += [str(value) for name, value in attrs if name in ("src", "href", "action", "data")]
-
-
 def test_the_page_stands_alone_and_escapes_what_entrants_say(held: Path) -> None:
     text = compete(held, "board", "run", "--format", "html").stdout
-    page = Page()
-    page.feed(text)
-    assert {"table", "svg", "polyline", "h1"} <= page.tags
-    assert "script" not in page.tags
+    assert {"table", "svg", "polyline", "h1"} <= set(re.findall(r"<(\w+)", text))
+    assert not re.search(r"(?i)<script|<[^>]*\s(src|href|action|data)=", text)
     assert "<b>spring" not in text
     assert "&lt;script&gt;" in text
-    assert page.fetched == []
     assert "http:" not in text.replace('xmlns="http://www.w3.org/2000/svg"', "")
     assert "https:" not in text
 
