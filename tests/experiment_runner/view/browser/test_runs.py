@@ -17,7 +17,6 @@ from experiment_runner.view.catalog import read_notes
 from tests.experiment_runner.view.browser.chromium import Browser, needed
 from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_curves import NAME, store_run
-from tests.experiment_runner.view.test_stream import make_run
 
 needed()
 
@@ -27,17 +26,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     store_run(folder / "named")
     return folder
-
-
-def test_the_list_follows_a_run(browser: Browser, folder: Path) -> None:
-    browser.shows(NAME)
-    assert "token" not in browser.driver.current_url
-    with make_run(folder / "live") as store:
-        browser.shows("live\n")
-        store.record("remote/remote/0", EpisodeResult(1, 1.0, 3, True, 0.1))
-        browser.shows("1 / 10")
-        browser.shows("running")
-    browser.shows("interrupted")
 
 
 def test_a_run_shows_the_numbers_of_the_store(browser: Browser, page: Page, folder: Path) -> None:
