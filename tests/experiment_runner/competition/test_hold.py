@@ -8,13 +8,13 @@ import io
 import json
 import os
 import random
+import re
 import shutil
 import sqlite3
 import struct
 import subprocess
 import sys
 from contextlib import closing
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -91,12 +91,24 @@ def compete(folder: Path, *arguments: str, secret: str = "xyzzy") -> subprocess.
     )
 
 
+def write(folder: Path, text: str = FILE) -> None:
+    """Write a competition and the program of its entrants into a folder."""
+    (folder / "agent.py").write_text(AGENT)
+    (folder / "spring.toml").write_text(text)
+
+
+def update(run: Path, statement: str, *values: object) -> int:
+    """Update the database of a run; return the number of changed rows."""
+    with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
+        database.execute("PRAGMA foreign_keys = off")
+        return database.execute(statement, values).rowcount
+
+
 @pytest.fixture(scope="module")
 def held(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A competition that was held and verified; not to be changed."""
     folder = tmp_path_factory.mktemp("competition")
-    (folder / "agent.py").write_text(AGENT)
-    (folder / "spring.toml").write_text(FILE)
+    write(folder)
     done = compete(folder, "run", "spring.toml", "--out", "run", "--workers", "3")
     assert done.returncode == 0, done.stderr
     verified = compete(folder, "verify", "run")
@@ -172,28 +184,12 @@ def test_csv_has_a_line_for_each_entrant(held: Path) -> None:
     assert "seeds" not in rows[0]
 
 
-class Page(HTMLParser):
-    """The tags of a page, and the addresses that they would fetch."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tags: set[str] = set()
-        self.fetched: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.add(tag)
-        self.fetched += [str(value) for name, value in attrs if name in ("src", "href", "action", "data")]
-
-
 def test_the_page_stands_alone_and_escapes_what_entrants_say(held: Path) -> None:
     text = compete(held, "board", "run", "--format", "html").stdout
-    page = Page()
-    page.feed(text)
-    assert {"table", "svg", "polyline", "h1"} <= page.tags
-    assert "script" not in page.tags
+    assert {"table", "svg", "polyline", "h1"} <= set(re.findall(r"<(\w+)", text))
+    assert not re.search(r"(?i)<script|<[^>]*\s(src|href|action|data)=", text)
     assert "<b>spring" not in text
     assert "&lt;script&gt;" in text
-    assert page.fetched == []
     assert "http:" not in text.replace('xmlns="http://www.w3.org/2000/svg"', "")
     assert "https:" not in text
 
@@ -238,8 +234,7 @@ def test_another_secret_is_another_competition(held: Path) -> None:
 def test_other_limits_and_other_lengths_are_another_competition(
     old: str, new: str, run: Path, tmp_path: Path
 ) -> None:
-    (tmp_path / "agent.py").write_text(AGENT)
-    (tmp_path / "spring.toml").write_text(FILE.replace(old, new))
+    write(tmp_path, FILE.replace(old, new))
     refused = compete(tmp_path, "run", "spring.toml", "--out", "run")
     assert refused.returncode == 1
     assert "begun with other limits" in refused.stderr
@@ -256,8 +251,7 @@ def test_a_directory_that_an_organiser_has_left_open_is_closed(run: Path, held: 
 @pytest.mark.stage("kills")
 def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(tmp_path: Path) -> None:
     """A limit on file sizes simulates the full disk."""
-    (tmp_path / "agent.py").write_text(AGENT)
-    (tmp_path / "spring.toml").write_text(FILE.replace("trials = 1", "trials = 4"))
+    write(tmp_path, FILE.replace("trials = 1", "trials = 4"))
     command = f"ulimit -f 200; exec {BIN / 'glue-compete'} run spring.toml --out run"
     environment = {**os.environ, "SECRET": "xyzzy"}
     full = subprocess.run(
@@ -309,22 +303,21 @@ def results(run: Path, command: str, *options: str) -> subprocess.CompletedProce
 def test_random_changes_of_a_record_are_found(run: Path) -> None:
     chance = random.Random(1)
     paths = [record_path(run, trial) for trial in ("walk/mines/0", "crash/mines/0", "walk/walk/0")]
-    for change in range(size(6, 100)):
-        path = paths[change % len(paths)]
+    for number in range(size(6, 100)):
+        path = paths[number % len(paths)]
         whole = path.read_bytes()
         place = chance.randrange(len(whole))
-        kind = chance.randrange(4)
-        if kind == 0:
-            damaged = whole[:place] + bytes([whole[place] ^ chance.randrange(1, 256)]) + whole[place + 1 :]
-        elif kind == 1:
-            damaged = whole[:place]
-        elif kind == 2:
-            damaged = whole[:place] + chance.randbytes(chance.randrange(1, 9)) + whole[place:]
-        else:
-            damaged = whole[:place] + whole[place + 1 :]
-        path.write_bytes(damaged)
+        other = bytes([whole[place] ^ chance.randrange(1, 256)])
+        rest = (
+            other + whole[place + 1 :],
+            b"",
+            chance.randbytes(chance.randrange(1, 9)) + whole[place:],
+            whole[place + 1 :],
+        )
+        kind = chance.randrange(len(rest))
+        path.write_bytes(whole[:place] + rest[kind])
         found = problems(run)
-        assert len(found) == 1, (change, kind, place, found)
+        assert len(found) == 1, (number, kind, place, found)
         assert str(path) in found[0]
         path.write_bytes(whole)
     assert problems(run) == []
@@ -336,11 +329,8 @@ def forge(run: Path, trial: str, change: bytes, to: bytes) -> None:
     content = gzip.decompress(path.read_bytes())
     assert change in content
     path.write_bytes(gzip.compress(content.replace(change, to, 1)))
-    with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
-        database.execute(
-            "UPDATE outcomes SET digest = ? WHERE trial = (SELECT key FROM trials WHERE id = ?)",
-            (digest(path), trial),
-        )
+    where = "WHERE trial = (SELECT key FROM trials WHERE id = ?)"
+    assert update(run, f"UPDATE outcomes SET digest = ? {where}", digest(path), trial) == 1
 
 
 def test_a_forged_reward_is_found_by_replay(run: Path) -> None:
@@ -351,10 +341,7 @@ def test_a_forged_reward_is_found_by_replay(run: Path) -> None:
 
 
 def test_a_forged_episode_in_the_database_is_found(run: Path) -> None:
-    with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
-        database.execute(
-            "UPDATE episodes SET episode_return = episode_return + 1 WHERE trial = 1 AND episode = 1"
-        )
+    update(run, "UPDATE episodes SET episode_return = episode_return + 1 WHERE trial = 1 AND episode = 1")
     (problem,) = problems(run)
     assert "in the database" in problem
 
@@ -378,9 +365,7 @@ def test_an_edit_of_the_directory_is_found_by_verify_and_on_the_board(
     run: Path, edit: str | tuple[str, str, str]
 ) -> None:
     if isinstance(edit, str):
-        with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
-            database.execute("PRAGMA foreign_keys = off")
-            assert database.execute(edit).rowcount == 1
+        assert update(run, edit) == 1
     else:
         file = run / edit[0]
         assert edit[1] in file.read_text()
@@ -406,8 +391,7 @@ def test_a_signature_shows_others_whose_board_it_is(run: Path) -> None:
     assert compete(folder, "verify", "run").returncode == 0  # the signature remains, as nothing has changed
     assert compete(folder, "board", "run", "--signed-by", "organiser.key").returncode == 0
     assert compete(folder, "board", "run", "--signed-by", "somebody.key").returncode == 1
-    with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
-        database.execute(_FORFEITED)
+    update(run, _FORFEITED)
     (run / "seal.json").unlink()
     again = compete(folder, "verify", "run", "--sign", "somebody.key_secret")
     assert again.returncode == 0, again.stderr  # organisers can lie to themselves
@@ -535,8 +519,7 @@ def test_acts_of_the_organiser_are_sealed_and_shown_and_delete_nothing(held: Pat
     ],
 )
 def test_a_mistake_is_one_line_that_says_what_to_do(old: str, new: str, why: str, tmp_path: Path) -> None:
-    (tmp_path / "agent.py").write_text(AGENT)
-    (tmp_path / "spring.toml").write_text(FILE.replace(old, new))
+    write(tmp_path, FILE.replace(old, new))
     refused = compete(tmp_path, "run", "spring.toml", "--out", "run")
     assert refused.returncode == 2, refused.stderr
     assert refused.stderr.startswith("Error: ")

@@ -9,9 +9,11 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from subprocess import DEVNULL
 
 import pytest
 
+from tests import forked
 from tests.proof import size
 from tests.system.runs import alive, children, wait_until
 
@@ -43,14 +45,16 @@ command = ["AGENT", "random"]
 """
 
 
+def compete(folder: Path, *arguments: str) -> str:
+    """Run `glue-compete` to its end; return its output."""
+    done = forked.run("glue-compete", *arguments, cwd=folder, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def standings(folder: Path, out: str) -> object:
-    verified = subprocess.run([*COMPETE, "verify", out], cwd=folder, capture_output=True, text=True)
-    assert verified.returncode == 0, verified.stderr
-    shown = subprocess.run(
-        [*COMPETE, "board", out, "--format", "json"], cwd=folder, capture_output=True, text=True
-    )
-    assert shown.returncode == 0, shown.stderr
-    return json.loads(shown.stdout)
+    compete(folder, "verify", out)
+    return json.loads(compete(folder, "board", out, "--format", "json"))
 
 
 @pytest.mark.stage("kills")
@@ -59,14 +63,12 @@ def test_an_organiser_that_is_killed_comes_to_the_same_standings(tmp_path: Path)
     agent = Path(sys.executable).with_name("glue-agent")
     (tmp_path / "spring.toml").write_text(FILE.replace("AGENT", str(agent)))
     (tmp_path / "secret.txt").write_text("xyzzy")
-    command = [*COMPETE, "run", "spring.toml", "--workers", "2", "--out"]
-    undisturbed = subprocess.run([*command, "undisturbed"], cwd=tmp_path, capture_output=True, text=True)
-    assert undisturbed.returncode == 0, undisturbed.stderr
+    command = ("run", "spring.toml", "--workers", "2", "--out")
+    compete(tmp_path, *command, "undisturbed")
     chance = random.Random(4)
     for kill in range(KILLS):
-        organiser = subprocess.Popen(
-            [*command, run_of(kill)], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
+        killed = [*COMPETE, *command, run_of(kill)]
+        organiser = subprocess.Popen(killed, cwd=tmp_path, stdout=DEVNULL, stderr=DEVNULL)
         time.sleep(chance.uniform(0, LONGEST_LIFE))
         everybody = children(organiser.pid)
         organiser.kill()
@@ -74,8 +76,7 @@ def test_an_organiser_that_is_killed_comes_to_the_same_standings(tmp_path: Path)
         wait_until(partial(none_alive, everybody), "the end of its processes")
     expected = standings(tmp_path, "undisturbed")
     for out in sorted({run_of(kill) for kill in range(KILLS)}):
-        done = subprocess.run([*command, out], cwd=tmp_path, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        compete(tmp_path, *command, out)
         assert standings(tmp_path, out) == expected
 
 

@@ -107,19 +107,6 @@ def test_a_bank_that_is_drained_slowly_ends_the_task(tmp_path: Path) -> None:
     assert episodes(reports, tmp_path)[-1].ending is Ending.VOID
 
 
-def test_a_fast_answer_drains_nothing(tmp_path: Path) -> None:
-    clock = Clock()
-    reports = reports_of(Thinker(clock, 1.0), tmp_path, clock, limits=LIMITS)
-    assert reports[-1] == Ended(None)
-    assert not any(isinstance(report, Forfeited) for report in reports)
-
-
-def test_the_total_is_limited(tmp_path: Path) -> None:
-    clock = Clock()
-    limits = TimeLimits(step_seconds=1.0, total_seconds=10.0)
-    assert "10 s in all" in forfeit(reports_of(Thinker(clock, 1.0), tmp_path, clock, limits=limits))
-
-
 class LateThinker(Thinker):
     """Takes its time about the last call of an episode."""
 

@@ -14,7 +14,6 @@ import pytest
 from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import Forfeited
 from experiment_runner.competition.secret import trials
-from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import Launch, variables
 from experiment_runner.executors.job import Ended
 from glue.engine.engine import role_seed
@@ -23,7 +22,7 @@ from glue.options import Option
 from glue.types import Action, Observation, Step
 from glue.wire.codec import FROM_HUB, TO_HUB, decode
 from glue.wire.messages import CALLS, Body, Kind, Role
-from tests.experiment_runner.competition.players import SECRET, competition, reports_of
+from tests.experiment_runner.competition.players import SECRET, InThread, Thread, competition, reports_of
 from tests.scripted.peer import ScriptedPeer, hello_scalars
 
 CANARY = "sings in the mine"
@@ -80,24 +79,13 @@ class Listening(MinesEnvironment):
 
 
 class RawAgent:
-    """An entrant that keeps every byte it receives, and once sends a message of its choice; see `Starter`."""
+    """An entrant that keeps every byte it receives, and once sends a message of its choice."""
 
     def __init__(self, action: Action, smuggled: Kind | None = None) -> None:
         self.action = action
         self.smuggled = smuggled
         self.received: list[bytes] = []
         self.kinds: set[Kind] = set()
-        self.told: list[str] = []
-
-    def check(self, entrant: Entrant, limits: Limits) -> str:
-        return ""
-
-    def sweep(self, run: str) -> None:
-        pass
-
-    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Running:
-        self.told += [str(launch.folder), *variables(launch.hub, launch.session).values()]
-        return _Running(self, launch)
 
     def serve(self, launch: Launch, over: threading.Event) -> None:
         with ScriptedPeer(launch.hub, session=launch.session).greet() as peer:
@@ -131,20 +119,15 @@ class RawAgent:
         peer.say(kind, 1, *values, body=body if shape.body else b"")
 
 
-class _Running:
-    reason: str | None = None
-    lost: str | None = None
-    offence: str | None = None
+class Raw(Thread):
+    """A thread in which a RawAgent serves until it is stopped."""
 
-    def __init__(self, agent: RawAgent, launch: Launch) -> None:
-        self.log = launch.log
+    def __init__(self, agent: Any, launch: Launch) -> None:
         self._over = threading.Event()
-        self._thread = threading.Thread(target=agent.serve, args=(launch, self._over))
-        self._thread.start()
+        super().__init__(agent, launch)
 
-    def wait(self, seconds: float) -> bool:
-        self._over.wait(min(seconds, 0.05))
-        return False
+    def _serve(self) -> None:
+        self._agent.serve(self._launch, self._over)
 
     def stop(self) -> None:
         self._over.set()
@@ -164,7 +147,7 @@ LIMITS = TimeLimits(start_seconds=10.0)
 
 def test_no_message_passes_between_an_entrant_and_its_environment(heard: list[str], tmp_path: Path) -> None:
     agent = RawAgent(Action(ints=[1]))
-    reports = reports_of(agent, tmp_path, env=ENV, limits=LIMITS)
+    reports = reports_of(InThread(agent, Raw), tmp_path, env=ENV, limits=LIMITS)
     assert reports[-1] == Ended(None)
     assert not any(isinstance(report, Forfeited) for report in reports)
     assert set(heard) == {"seed", "init", "start", "step"}
@@ -177,7 +160,7 @@ def test_what_an_entrant_smuggles_in_does_not_reach_its_environment(
     kind: Kind, heard: list[str], tmp_path: Path
 ) -> None:
     agent = RawAgent(Action(ints=[1]), smuggled=kind)
-    reports = reports_of(agent, tmp_path, env=ENV, limits=LIMITS, steps=10)
+    reports = reports_of(InThread(agent, Raw), tmp_path, env=ENV, limits=LIMITS, steps=10)
     assert agent.smuggled is None
     assert reports[-1] == Ended(None)
     assert set(heard) <= {"seed", "init", "start", "step"}
@@ -189,9 +172,11 @@ def test_what_an_entrant_smuggles_in_does_not_reach_its_environment(
 @pytest.mark.parametrize(("env", "action"), [(ENV, [1]), ("mario", [1, 0, 1])])
 def test_an_entrant_never_sees_a_seed(env: str, action: list[int], tmp_path: Path) -> None:
     agent = RawAgent(Action(ints=action))
-    reports = reports_of(agent, tmp_path, env=env, limits=LIMITS)
-    assert reports[-1] == Ended(None)
-    seen = b"\n".join([*agent.received, *map(str.encode, agent.told)])
+    starter = InThread(agent, Raw)
+    assert reports_of(starter, tmp_path, env=env, limits=LIMITS)[-1] == Ended(None)
+    (launch,) = starter.launches
+    told = (str(launch.folder), *variables(launch.hub, launch.session).values())
+    seen = b"\n".join([*agent.received, *map(str.encode, told)])
     assert Kind.AGENT_SEED in agent.kinds  # its own seed, which reveals nothing of these
     for secret in secrets(env):
         assert secret not in seen

@@ -40,11 +40,6 @@ with Store.open(Path(sys.argv[1])) as store:
 """
 
 
-def test_every_measure_is_a_field_of_an_episode_in_the_order_of_the_table() -> None:
-    columns = [measure.sql.partition(" ")[0] for measure in MEASURES.values()]
-    assert list(EpisodeResult._fields) == ["episode", *columns]
-
-
 def test_an_unknown_value_of_a_measure_repeats_any_other() -> None:
     known, unknown = EpisodeResult(1, 2.0, 7, True, 0.1), EpisodeResult(1, math.nan, 7, True, 0.3)
     assert known.repeats(unknown)

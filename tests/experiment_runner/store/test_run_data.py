@@ -90,8 +90,3 @@ def test_glue_loads_a_run_through_the_entry_point(run: StoredRun) -> None:
     assert loaded.directory == run.directory
     assert list(loaded) == list(run)
     np.testing.assert_array_equal(loaded["return"], run["return"])
-
-
-def test_directory_without_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ExperimentError, match="holds no run"):
-        load_run(tmp_path)

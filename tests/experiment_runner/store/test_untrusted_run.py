@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiment_runner.executors.resume import create_run, resume_run
+from experiment_runner.executors.resume import create_run
 from experiment_runner.plan.plan import Plan, RoleSweep
-from experiment_runner.report.overview import Overview, as_object, as_text, overview
-from experiment_runner.report.tables import format_table
+from experiment_runner.report.overview import as_object, as_text, overview
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
 from experiment_runner.store.merge import merge
 from experiment_runner.store.records import Checkpoint, EpisodeResult
@@ -167,14 +166,6 @@ def test_ctrl_c_ends_a_query(run: Path) -> None:
     assert errors.strip().endswith("KeyboardInterrupt")
 
 
-def test_texts_cannot_steer_the_terminal(run: Path) -> None:
-    change(run, "UPDATE trials SET failure = 'red' || char(27) || '[31m' || char(10) || 'x'")
-    with Results.open(run) as results:
-        table = format_table(Overview.COLUMNS, [overview(results).cells()])
-        assert "\x1b" not in as_text([results]) + table
-        assert len(table.splitlines()) == 2
-
-
 def test_merge_takes_damaged_texts_as_they_are(run: Path, tmp_path: Path) -> None:
     (run / PLAN_FILE).write_bytes(b"\xff\xfe")
     (run / ABOUT_FILE).write_text("[" * 100_000)
@@ -182,39 +173,6 @@ def test_merge_takes_damaged_texts_as_they_are(run: Path, tmp_path: Path) -> Non
         merge([results], tmp_path / "merged")
     with Results.open(tmp_path / "merged") as merged:
         assert [trial.done for trial in merged.trials()] == [20, 20]
-
-
-MERGE_AND_DIE = """
-import os, signal, sys
-from pathlib import Path
-from experiment_runner.store.merge import merge
-from experiment_runner.store.results import Results
-from experiment_runner.store.store import Store
-copied = []
-adopt = Store.adopt
-def die_after_the_first(store, *arguments):
-    if copied:
-        os.kill(os.getpid(), signal.SIGKILL)
-    copied.append(adopt(store, *arguments))
-Store.adopt = die_after_the_first
-with Results.open(Path(sys.argv[1])) as run:
-    merge([run], Path(sys.argv[2]))
-"""
-
-
-def test_killed_merge_leaves_no_half_of_a_run(run: Path, tmp_path: Path) -> None:
-    out = tmp_path / "merged"
-    done = subprocess.run([sys.executable, "-c", MERGE_AND_DIE, str(run), str(out)])
-    assert done.returncode == -signal.SIGKILL
-    with pytest.raises(ExperimentError, match="holds no run"):
-        Results.open(out)
-    with pytest.raises(ExperimentError, match="holds no run"):
-        resume_run(out)
-    with Results.open(run) as results:
-        merge([results], out)
-    store, left = resume_run(out, PLAN)
-    store.close()
-    assert [trial.after for trial in left] == [20, 20]
 
 
 def test_merge_that_fails_keeps_a_directory_that_was_there(run: Path, tmp_path: Path) -> None:

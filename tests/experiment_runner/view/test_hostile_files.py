@@ -43,20 +43,12 @@ PRECIOUS = b"precious " * 20
 SECONDS = 30  # more than any of these takes
 
 
-def link(path: Path, target: Path) -> None:
-    path.symlink_to(target)
-
-
-def hard_link(path: Path, target: Path) -> None:
-    path.hardlink_to(target)
+def fifo(path: Path, target: Path) -> None:
+    os.mkfifo(path)
 
 
 def dangling_link(path: Path, target: Path) -> None:
     path.symlink_to(path.parent.parent / "nothing")
-
-
-def fifo(path: Path, target: Path) -> None:
-    os.mkfifo(path)
 
 
 def device(path: Path, target: Path) -> None:
@@ -78,10 +70,10 @@ def unreadable(path: Path, target: Path) -> None:
 
 
 THINGS = [
-    *(link, fifo, hole),
+    *(Path.symlink_to, fifo, hole),
     *(
         pytest.param(thing, marks=pytest.mark.stage("attacks"))
-        for thing in (hard_link, dangling_link, device, folder, unreadable)
+        for thing in (Path.hardlink_to, dangling_link, device, folder, unreadable)
     ),
 ]
 

@@ -13,15 +13,6 @@ from tests.system.runs import wait_until
 pytestmark = pytest.mark.stage("page")
 
 EXPERIMENT = ("glue-experiment", "--env", "skeleton", "--agent", "skeleton", "--episodes", "3")
-COMPETITION = """\
-trials = 1
-seed_file = "secret.txt"
-[tasks.walk]
-env = "skeleton"
-episodes = 1
-[entrants.nobody]
-command = ["true"]
-"""
 
 
 def test_in_a_terminal_the_page_stays_after_the_run_until_ctrl_c(tmp_path: Path) -> None:
@@ -38,11 +29,3 @@ def test_without_a_terminal_the_page_ends_with_the_run(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "glue-view out" in done.stderr
     assert "until Ctrl-C" not in done.stderr
-
-
-def test_a_competition_ends_so_too_and_can_be_verified_at_once(tmp_path: Path) -> None:
-    (tmp_path / "small.toml").write_text(COMPETITION)
-    (tmp_path / "secret.txt").write_text("only a test")
-    done = run("glue-compete", "run", "small.toml", "--out", "out", "--view", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr.index("glue-compete verify out") < done.stderr.index("glue-view out")

@@ -16,7 +16,7 @@ from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
 from experiment_runner.view.catalog import Catalog, Watcher
 from experiment_runner.view.stream import Pulse
-from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.pages import Inside, Page, glue_view
 
 
 def make_run(directory: Path, episodes: int = 10) -> Store:
@@ -105,17 +105,16 @@ def test_a_change_that_is_found_while_the_last_page_goes_away_is_not_lost(tmp_pa
     store.close()
 
 
-def test_a_damaged_store_is_shown_as_such_and_harms_no_other(page: Page, tmp_path: Path) -> None:
+def test_a_damaged_store_is_shown_as_such_and_harms_no_other(tmp_path: Path) -> None:
     make_run(tmp_path / "good").close()
     bad = tmp_path / "<script>alert(1)<" / "run"
     bad.mkdir(parents=True)
     (bad / "results.sqlite").write_bytes(b"SQLite format 3\0" + b"\xff" * 5000)
-    runs = {run["name"]: run for run in page.stream("topic=runs").next()["runs"].values()}
-    states = {name.partition("/")[2]: run["state"] for name, run in runs.items()}
-    assert states == {"good": "interrupted", "<script>alert(1)</run".replace("</", "</", 1): "damaged"}
-    damaged = next(run for run in runs.values() if run["state"] == "damaged")
-    assert "results.sqlite" in damaged["reason"] or "cannot read" in damaged["reason"]
-    assert page.ask(f"/api/run/{damaged['id']}").status == 422
+    runs = {run["state"]: run for run in Catalog([tmp_path]).changes().values() if run}
+    assert runs.keys() == {"interrupted", "damaged"}
+    assert str(runs["damaged"]["name"]).endswith("/<script>alert(1)</run")
+    assert "results.sqlite" in runs["damaged"]["reason"] or "cannot read" in runs["damaged"]["reason"]
+    assert Inside(tmp_path).ask(f"/api/run/{runs['damaged']['id']}").status == 422
 
 
 def test_ctrl_c_ends_the_server_at_once_with_pages_open(page: Page) -> None:
@@ -125,9 +124,7 @@ def test_ctrl_c_ends_the_server_at_once_with_pages_open(page: Page) -> None:
     assert [stream.next() for stream in streams] == [None] * 5
 
 
-def test_a_run_is_summed_up_by_the_returns_of_its_settings_and_their_options(
-    page: Page, tmp_path: Path
-) -> None:
+def test_a_run_is_summed_up_by_the_returns_of_its_settings_and_their_options(tmp_path: Path) -> None:
     specs = [
         TrialSpec(
             TrialId(f"sarsa/step_size={step_size}/mines/{trial}"),
@@ -141,10 +138,10 @@ def test_a_run_is_summed_up_by_the_returns_of_its_settings_and_their_options(
     with Store.create(tmp_path / "sweep", specs, {}) as store:
         for number, spec in enumerate(specs):
             for episode in range(1, 201):  # the last 100 count
-                store.record(
-                    spec.id, EpisodeResult(episode, float(number if episode > 100 else -99), 3, True, 0.1)
-                )
-    (found,) = page.stream("topic=runs").next()["runs"].values()
+                total = number if episode > 100 else -99.0
+                store.record(spec.id, EpisodeResult(episode, total, 3, True, 0.1))
+    (found,) = Catalog([tmp_path]).changes().values()
+    assert found is not None
     assert found["returns"] == [0.5, 2.5]
     assert found["options"] == {"step_size": ["0.5", "0.05"]}
     assert "seeds" not in found

@@ -46,12 +46,6 @@ def test_only_the_textbook_agent_learns_the_terminal_reward() -> None:
     assert (textbook.label, dict(textbook.options)) == ("tiles-textbook", {"terminal_update": True})
 
 
-def test_fewer_trials_are_the_first_of_all() -> None:
-    few = {spec.id: spec.seed for spec in plan_of(EXPERIMENTS["4"], trials=2).expand()}
-    assert len(few) == 4
-    assert few.items() <= {spec.id: spec.seed for spec in plan_of(EXPERIMENTS["4"]).expand()}.items()
-
-
 def test_every_figure_of_the_paper_that_shows_an_agent_is_there() -> None:
     assert [e.figure for e in EXPERIMENTS.values() if e.figure] == [2, 3, 5, 8, 9, 10, 11, 13]
 

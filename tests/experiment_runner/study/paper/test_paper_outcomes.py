@@ -180,11 +180,5 @@ def test_figures_hold_the_levels_and_agents_they_are_for() -> None:
     curves = [text.get_text() for text in drawn["curves-0"].legends[0].get_texts()]
     assert curves == ["sample", "hierarchical-internal", "best"]
     assert sorted(drawn) == [
-        "best",
-        "curves-0",
-        "curves-1",
-        "figure-11",
-        "figure-13",
-        "figure-13-nearest",
-        "figure-2",
+        *("best", "curves-0", "curves-1", "figure-11", "figure-13", "figure-13-nearest", "figure-2")
     ]

@@ -77,13 +77,8 @@ def test_csv_has_a_row_for_each_agent_and_level(study: Path) -> None:
         ("hierarchical-programmed", "121", "0"),
         ("objects-coarse", "121", "1"),
     ]
-    four = rows[4]
-    assert (four["trials"], four["paper_reward"], four["reward"], four["reward_low"]) == (
-        "1",
-        "146.91",
-        "144.0",
-        "",
-    )
+    four = [rows[4][name] for name in ("trials", "paper_reward", "reward", "reward_low")]
+    assert four == ["1", "146.91", "144.0", ""]
 
 
 def test_figures_are_those_whose_runs_are_there(study: Path) -> None:
@@ -138,20 +133,9 @@ def test_report_without_episodes_is_an_error(tmp_path: Path) -> None:
 
 
 def test_command_runs_what_is_missing_and_reports(tmp_path: Path) -> None:
-    arguments = [
-        "-m",
-        "experiment_runner.cli.paper",
-        "7",
-        "--trials",
-        "1",
-        "--episodes",
-        "3",
-        "--workers",
-        "2",
-    ]
-    first = subprocess.run(
-        [sys.executable, *arguments, "--out", str(tmp_path)], capture_output=True, text=True, check=True
-    )
+    arguments = ("7", "--trials", "1", "--episodes", "3", "--workers", "2", "--out", str(tmp_path))
+    command = [sys.executable, "-m", "experiment_runner.cli.paper", *arguments]
+    first = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "7 hierarchical-internal" in first.stdout
     with Results.open(tmp_path / "7") as results:
         trials = results.trials()
@@ -161,7 +145,7 @@ def test_command_runs_what_is_missing_and_reports(tmp_path: Path) -> None:
         table = list(csv.DictReader(file))
     assert [row["level_difficulty"] for row in table] == ["0", "1"]
     assert float(table[0]["values"]) > 50  # reported by the agent, loaded from its checkpoint
-    again = call("7", "--trials", 1, "--episodes", 3, "--workers", 2, "--out", tmp_path)
+    again = call(*arguments)
     assert again.stdout == first.stdout
     with Results.open(tmp_path / "7") as results:
         assert results.episodes(trials[0].spec.id) == before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -59,24 +60,16 @@ def test_our_agents_keep_the_same_states_under_these_keys() -> None:
             glue.rl_episode()
         saved = unpack(glue.rl_agent_save(), "hierarchical", {"grid": 2, "tile_above": False})
     keys = set(saved.arrays["keys"].tolist())
-    moves = [
-        f"{way}{jump}{fast}" for way in ("left", "right") for jump in ("", "-jump") for fast in ("", "-fast")
-    ]
+    moves = [*map("".join, product(("left", "right"), ("", "-jump"), ("", "-fast")))]
     moves += ["stay", "stay-fast", "jump", "jump-fast"]
     monsters = [
         f"{kind}*{dx}*{dy}*{motion}"
         for kind in ("goomba", "mushroom", "fire-flower", "shell")
-        for dx in range(-6, 8)
-        for dy in range(-12, 10)
+        for dx, dy in product(range(-6, 8), range(-12, 10))
         for motion in ("stationary", "vertical", "towards", "away", "none")
     ]
     tiles = [f"{kind}*{dx}*{dy}" for kind in ("coin", "question") for dx in range(-2, 3) for dy in range(4)]
-    bits = [
-        f"threat-{a}-coin-{b}-question-{c}"
-        for a in ("yes", "no")
-        for b in ("yes", "no")
-        for c in ("yes", "no")
-    ]
+    bits = ["threat-{}-coin-{}-question-{}".format(*each) for each in product(("yes", "no"), repeat=3)]
     known = {key_of(Learned(OPERATOR, seen, "")) for seen in monsters + tiles}
     known |= {
         key_of(Learned(CONTEXT, seen, name))

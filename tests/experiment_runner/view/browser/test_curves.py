@@ -53,9 +53,7 @@ def test_two_runs_are_compared_and_their_tables_hold_the_numbers(
         rows = browser.has_table(f"{curve['label']}: running mean")
         known = {
             f"{at:,.0f}": [score(mean), f"{score(low)} to {score(high)}"]
-            for at, mean, low, high in zip(
-                *(curve[key] for key in ("at", "mean", "low", "high")), strict=True
-            )
+            for at, mean, low, high in numbers_of(curve)
         }
         assert len(rows) > 10
         assert all(known[at] == rest for at, *rest in rows)

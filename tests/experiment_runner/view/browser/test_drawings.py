@@ -72,19 +72,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", f"{package}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
         for name in ("lamp", "mines"):
-            command = (
-                "glue-experiment",
-                "--env",
-                name,
-                "--agent",
-                "random",
-                "--episodes",
-                "1",
-                "--in-process",
-            )
-            played = run_anew(
-                *command, "--out", name, "--record", f"{name}/run.traj", "--max-steps", "9", cwd=folder
-            )
+            command = f"glue-experiment --env {name} --agent random --episodes 1 --max-steps 9 --in-process"
+            made = ("--out", name, "--record", f"{name}/run.traj")
+            played = run_anew(*command.split(), *made, cwd=folder)
             assert played.returncode == 0, played.stderr
         yield folder
 

@@ -19,17 +19,7 @@ from tests.system.runs import children, start
 
 needed()
 
-RUN = (
-    "--env",
-    "skeleton",
-    "--agent",
-    "skeleton",
-    "--episodes",
-    "300000",
-    "--in-process",
-    "--out",
-    "runs/fast",
-)
+PLAYERS = ("--env", "skeleton", "--agent", "skeleton", "--episodes", "300000", "--in-process")
 _GAPS = """
 return new Promise((done) => {
   const gaps = [];
@@ -63,7 +53,7 @@ def test_a_run_is_killed_and_goes_on_while_the_page_stays_open(
 ) -> None:
     browser.shows("There is no run here yet")
     browser.run("window.same = true")
-    with start(*RUN, cwd=tmp_path) as process:
+    with start(*PLAYERS, "--out", "runs/fast", cwd=tmp_path) as process:
         try:
             browser.shows("running")
             browser.find("td input").click()

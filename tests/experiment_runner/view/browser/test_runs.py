@@ -17,7 +17,6 @@ from experiment_runner.view.catalog import read_notes
 from tests.experiment_runner.view.browser.chromium import Browser, needed
 from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_curves import NAME, store_run
-from tests.experiment_runner.view.test_stream import make_run
 
 needed()
 
@@ -29,17 +28,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_list_follows_a_run(browser: Browser, folder: Path) -> None:
-    browser.shows(NAME)
-    assert "token" not in browser.driver.current_url
-    with make_run(folder / "live") as store:
-        browser.shows("live\n")
-        store.record("remote/remote/0", EpisodeResult(1, 1.0, 3, True, 0.1))
-        browser.shows("1 / 10")
-        browser.shows("running")
-    browser.shows("interrupted")
-
-
 def test_a_run_shows_the_numbers_of_the_store(browser: Browser, page: Page, folder: Path) -> None:
     browser.go(f"run/{page.run_id('named')}")
     (row,) = browser.has_table("Results, by setting")
@@ -47,8 +35,10 @@ def test_a_run_shows_the_numbers_of_the_store(browser: Browser, page: Page, fold
         (setting,) = setting_numbers(collect([results]))
         seeds = [f"{seed[:3]}…{seed[-3:]}" for seed in (str(trial.spec.seed) for trial in results.trials())]
     assert row[0] == NAME
-    assert [trial[1] for trial in browser.has_table("Trials")] == seeds
-    assert row[3:5] == [f"{setting['mean']:,.2f}", f"{setting['low']:,.2f} to {setting['high']:,.2f}"]
+    shown = [row[1] for row in browser.has_table("Trials")]
+    assert shown == [f"{each[:3]}…{each[-3:]}" for each in seeds]
+    interval = f"{setting['low']:,.2f} to {setting['high']:,.2f} (!)"  # the mark of few trials
+    assert row[3:5] == [f"{setting['mean']:,.2f}", interval]
 
 
 def rows(browser: Browser) -> list[str]:

@@ -6,9 +6,8 @@ import io
 import json
 import os
 import struct
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from PIL import Image
 from env_server.render.drawing import sprite, tile
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation, body_size
-from tests.experiment_runner.view.pages import Inside
+from tests.experiment_runner.view.pages import Answer, Inside
 from tests.experiment_runner.view.test_stream import make_run
 
 SPEC = (
@@ -39,34 +38,32 @@ def record(path: Path, *episodes: int, reward: float = 0.5) -> None:
             writer.cutoff()
 
 
-@pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inside, Path, str]:
-    directory = tmp_path_factory.mktemp("runs") / "a"
-    make_run(directory).close()
-    page = Inside(directory.parent)
-    return page, directory, page.run_id("a")
+class Shown(NamedTuple):
+    """A run on a page: its folder, and what the page answers about its recordings."""
+
+    page: Inside
+    folder: Path
+    id: str
+
+    def listed(self) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = self.page.ask(f"/api/recordings/{self.id}").json()
+        return found
+
+    def episode(self, name: object) -> Answer:
+        return self.page.ask(f"/api/episodes/{self.id}/{name}")
 
 
 @pytest.fixture
-def folder(shown: tuple[Inside, Path, str]) -> Iterator[Path]:
-    yield shown[1]
-    for path in shown[1].iterdir():
-        if path.suffix in (".traj", ".txt"):
-            path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
+def shown(tmp_path: Path) -> Shown:
+    make_run(tmp_path / "a").close()
+    page = Inside(tmp_path)
+    return Shown(page, tmp_path / "a", page.run_id("a"))
 
 
-def listed(shown: tuple[Inside, Path, str]) -> list[dict[str, Any]]:
-    page, _, run_id = shown
-    found: list[dict[str, Any]] = page.ask(f"/api/recordings/{run_id}").json()
-    return found
-
-
-def test_recordings_are_listed_with_the_length_return_and_end_of_each_episode(
-    shown: tuple[Inside, Path, str], folder: Path
-) -> None:
-    assert listed(shown) == []
-    record(folder / "run.traj", 3, 2)
-    (found,) = listed(shown)
+def test_recordings_are_listed_with_the_length_return_and_end_of_each_episode(shown: Shown) -> None:
+    assert shown.listed() == []
+    record(shown.folder / "run.traj", 3, 2)
+    (found,) = shown.listed()
     assert found == {
         "id": "",
         "name": "run.traj",
@@ -76,10 +73,9 @@ def test_recordings_are_listed_with_the_length_return_and_end_of_each_episode(
     }
 
 
-def test_an_episode_is_sent_byte_for_byte(shown: tuple[Inside, Path, str], folder: Path) -> None:
-    page, _, run_id = shown
-    record(folder / "run.traj", 1, 4)
-    answer = page.ask(f"/api/episodes/{run_id}/2")
+def test_an_episode_is_sent_byte_for_byte(shown: Shown) -> None:
+    record(shown.folder / "run.traj", 1, 4)
+    answer = shown.episode(2)
     assert answer.status == 200
     (size,) = struct.unpack_from("<I", answer.body)
     about, body = json.loads(answer.body[4 : 4 + size]), answer.body[4 + size :]
@@ -90,7 +86,7 @@ def test_an_episode_is_sent_byte_for_byte(shown: tuple[Inside, Path, str], folde
         "doubles": [[1, "-1 to no limit"]],
         "chars": 3,
     }
-    _, episode = TrajectoryReader(folder / "run.traj")
+    _, episode = TrajectoryReader(shown.folder / "run.traj")
     expected = [(0.0, Action(), episode.start)]
     expected += [(step.reward, step.action, step.observation) for step in episode.steps]
     for reward, action, seen in expected:
@@ -103,76 +99,66 @@ def test_an_episode_is_sent_byte_for_byte(shown: tuple[Inside, Path, str], folde
     assert body == b""
 
 
-def test_several_recordings_are_told_apart_and_the_first_has_the_short_names(
-    shown: tuple[Inside, Path, str], folder: Path
-) -> None:
-    page, _, run_id = shown
-    record(folder / "a.traj", 1)
-    record(folder / "b.traj", 2)
-    first, second = listed(shown)
+def test_several_recordings_are_told_apart_and_the_first_has_the_short_names(shown: Shown) -> None:
+    record(shown.folder / "a.traj", 1)
+    record(shown.folder / "b.traj", 2)
+    first, second = shown.listed()
     assert (first["id"], first["name"], second["name"]) == ("", "a.traj", "b.traj")
-    assert b'"a.traj"' in page.ask(f"/api/episodes/{run_id}/1").body
-    assert b'"b.traj"' in page.ask(f"/api/episodes/{run_id}/{second['id']}-1").body
+    assert b'"a.traj"' in shown.episode(1).body
+    assert b'"b.traj"' in shown.episode(f"{second['id']}-1").body
 
 
 @pytest.mark.parametrize(
     "episode",
     ["0", "3", "-1", "x", "1e9", "999999999", "00000000-1", "run.traj", "..%2frun.traj", "%00", "%D9%A1"],
 )
-def test_there_are_no_other_episodes(shown: tuple[Inside, Path, str], folder: Path, episode: str) -> None:
-    page, _, run_id = shown
-    record(folder / "run.traj", 1, 1)
-    answer = page.ask(f"/api/episodes/{run_id}/{episode}")
+def test_there_are_no_other_episodes(shown: Shown, episode: str) -> None:
+    record(shown.folder / "run.traj", 1, 1)
+    answer = shown.episode(episode)
     assert answer.status == 404
-    assert page.ask("/api/episodes/0/1").status == page.ask("/api/recordings/0").status == 404
+    assert shown.page.ask("/api/episodes/0/1").status == shown.page.ask("/api/recordings/0").status == 404
 
 
-def test_damaged_files_give_one_error_and_harm_no_other(
-    shown: tuple[Inside, Path, str], folder: Path
-) -> None:
-    page, _, run_id = shown
-    record(folder / "good.traj", 2)
-    whole = (folder / "good.traj").read_bytes()
-    (folder / "bad.traj").write_bytes(whole[:40] + b"\xff" * 40)
-    (folder / "empty.traj").write_bytes(b"")
-    (folder / "torn.traj").write_bytes(whole[:-20])
-    found = {one["name"]: one for one in listed(shown)}
+def test_damaged_files_give_one_error_and_harm_no_other(shown: Shown) -> None:
+    record(shown.folder / "good.traj", 2)
+    whole = (shown.folder / "good.traj").read_bytes()
+    (shown.folder / "bad.traj").write_bytes(whole[:40] + b"\xff" * 40)
+    (shown.folder / "empty.traj").write_bytes(b"")
+    (shown.folder / "torn.traj").write_bytes(whole[:-20])
+    found = {one["name"]: one for one in shown.listed()}
     assert found["good.traj"]["episodes"] == [[2, 1.0, "cutoff"]]
     assert "bad.traj cannot be read as a recording" in found["bad.traj"]["error"]
     assert "empty.traj cannot be read as a recording" in found["empty.traj"]["error"]
     assert (found["torn.traj"]["error"], found["torn.traj"]["episodes"]) == (None, [])  # it is being written
-    answer = page.ask(f"/api/episodes/{run_id}/1")  # of bad.traj, the first
+    answer = shown.episode(1)  # of bad.traj, the first
     assert answer.status == 422
     assert "bad.traj" in answer.json()["error"]
 
 
-def test_links_folders_and_pipes_are_no_recordings(shown: tuple[Inside, Path, str], folder: Path) -> None:
-    record(folder / "elsewhere.txt", 1)
-    (folder / "link.traj").symlink_to(folder / "elsewhere.txt")
-    (folder / "folder.traj").mkdir()
-    os.mkfifo(folder / "pipe.traj")  # opening it would wait forever
-    assert listed(shown) == []
+def test_links_folders_and_pipes_are_no_recordings(shown: Shown) -> None:
+    record(shown.folder / "elsewhere.txt", 1)
+    (shown.folder / "link.traj").symlink_to(shown.folder / "elsewhere.txt")
+    (shown.folder / "folder.traj").mkdir()
+    os.mkfifo(shown.folder / "pipe.traj")  # opening it would wait forever
+    assert shown.listed() == []
 
 
-def test_a_return_that_json_has_not_is_sent_as_a_word(shown: tuple[Inside, Path, str], folder: Path) -> None:
-    record(folder / "a.traj", 1, reward=float("nan"))
-    record(folder / "b.traj", 1, reward=float("-inf"))
-    assert [one["episodes"][0][1] for one in listed(shown)] == ["NaN", "-Infinity"]
+def test_a_return_that_json_has_not_is_sent_as_a_word(shown: Shown) -> None:
+    record(shown.folder / "a.traj", 1, reward=float("nan"))
+    record(shown.folder / "b.traj", 1, reward=float("-inf"))
+    assert [one["episodes"][0][1] for one in shown.listed()] == ["NaN", "-Infinity"]
 
 
-def test_an_episode_that_is_too_long_is_refused_with_what_shows_it(
-    shown: tuple[Inside, Path, str], folder: Path
-) -> None:
-    page, _, run_id = shown
-    record(folder / "long.traj", 100_001)
-    answer = page.ask(f"/api/episodes/{run_id}/1")
+def test_an_episode_that_is_too_long_is_refused_with_what_shows_it(shown: Shown) -> None:
+    record(shown.folder / "long.traj", 100_001)
+    answer = shown.episode(1)
     assert answer.status == 422
     assert "100000 steps" in answer.json()["error"]
     assert "glue-replay" in answer.json()["error"]
 
 
-def test_the_sheet_holds_every_sprite_where_it_is_said_to_be(shown: tuple[Inside, Path, str]) -> None:
-    page = shown[0]
+def test_the_sheet_holds_every_sprite_where_it_is_said_to_be(shown: Shown) -> None:
+    page = shown.page
     answer = page.ask("/drawings/mario/sheet.png")
     assert answer.headers["content-type"] == "image/png"
     sheet = np.asarray(Image.open(io.BytesIO(answer.body)))
