@@ -33,7 +33,6 @@ class Kept:
 
     def __init__(self) -> None:
         self.results: list[EpisodeResult] = []
-        self.answers: list[tuple[Answer, ...]] = []
         self.checkpoints: dict[int, Checkpoint] = {}
         self.answers: list[tuple[Answer, ...]] = []
         self.voids: list[int] = []
