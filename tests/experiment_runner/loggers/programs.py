@@ -9,6 +9,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -163,11 +164,16 @@ def _serving(folder: Path, name: str, *arguments: str) -> Iterator[str]:
     command = [sys.executable, str(BIN / name), *arguments]
     with (folder / "printed").open("wb") as printed:
         server = subprocess.Popen(
-            command, env=settings(folder), stdout=printed, stderr=printed, start_new_session=True
+            command,
+            env=settings(folder) | {"PYTHONUNBUFFERED": "1"},  # the address is read while the server runs
+            stdout=printed,
+            stderr=printed,
+            start_new_session=True,
         )
     try:
         while not (found := re.search(r"http://[\w.]+:\d+\b", (folder / "printed").read_text())):
             assert server.poll() is None, (folder / "printed").read_text()
+            time.sleep(0.05)
         yield f"{found[0]}/"
     finally:
         os.killpg(server.pid, 15)
