@@ -105,11 +105,11 @@ PARTS: Final[dict[str, dict[str, Callable[[], object]]]] = {
 
 
 def main(parts: dict[str, Callable[[], object]]) -> None:
-    """Compile some parts, with a line for each."""
+    """Compile some parts, with a line for each beside what the program itself says of its compilation."""
     for name, compile_ in parts.items():
         began = time.monotonic()
         compile_()
-        print(f"compiled {name} in {time.monotonic() - began:.1f} s", flush=True)
+        print(f"ready: {name}, {time.monotonic() - began:.1f} s", flush=True)
 
 
 if __name__ == "__main__":
