@@ -401,8 +401,7 @@ def test_observations_that_cannot_cross_the_wire_are_named(
     answer: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Strange, "answer", answer)
-    from glue.rlglue.andnp import AndnpAgent, AndnpEnvironment
-    from glue.rlglue.borrowed import adapted
+    from glue.rlglue.adapters import AndnpAgent, AndnpEnvironment, adapted
 
     environment: Any = adapted(AndnpEnvironment, Strange)()
     environment.env_init()
