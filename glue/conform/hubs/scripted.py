@@ -18,7 +18,7 @@ from glue.hub.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.limits import MAX_BODY, MAX_HEADER
-from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
 
 TASK_SPEC: Final = "a task for a hub, with ümlauts"
 
@@ -250,6 +250,10 @@ class Scene:
         """Let all three peers join, and carry out RL_INIT."""
         self.gather()
         self.experiment.ask(Kind.RL_INIT, None)
+        self.initialised()
+
+    def initialised(self) -> None:
+        """Answer the players' calls of an RL_INIT, and expect its reply."""
         self.environment.answers(Kind.ENV_INIT, gives=TASK_SPEC.encode())
         self.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
         self.experiment.expects_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
@@ -266,6 +270,32 @@ class Scene:
         self.stepped(step, terminal)
         last = did(step - 1 if terminal else step)
         self.experiment.expects_reply(Kind.RL_STEP, reward(step), terminal, body=saw(step) + last)
+
+    def first_step(self) -> int:
+        """Ask for the first RL_STEP; return the number of the environment's call, which is not answered."""
+        self.experiment.ask(Kind.RL_STEP)
+        return self.environment.expects_call(Kind.ENV_STEP, body=did(0))
+
+    def finish_first_step(self, number: int) -> None:
+        """Answer the environment's call of the first RL_STEP, and complete the step."""
+        self.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
+        self.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
+        self.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+
+    def relay(
+        self,
+        request: Kind,
+        *scalars: Value,
+        body: bytes = b"",
+        reply: tuple[Value, ...] = (),
+        gives: bytes = b"",
+    ) -> None:
+        """Carry out a request that is a single call to a player, as RL_ENV_STEP is ENV_STEP."""
+        call = Kind[request.name.removeprefix("RL_")]
+        player = self.agent if CALLS[call].callee is Role.AGENT else self.environment
+        self.experiment.ask(request, *scalars, body=body)
+        player.answers(call, *scalars, body=body, reply=reply, gives=gives)
+        self.experiment.expects_reply(request, *reply, body=gives)
 
     def episode(self, limit: int, length: int) -> None:
         """Carry out RL_EPISODE; the episode ends at step `length`."""
