@@ -251,6 +251,13 @@ class Harness(ABC):
             else:
                 return message, frames
 
+    def expect(self, expected: str, fits: Callable[[Message], bool]) -> Message:
+        """Return the client's next message, which must fit."""
+        got, frames = self.next(expected)
+        if not fits(got):
+            raise Broken(expected, described(got), frames)
+        return got
+
     def decoded(self, frames: Sequence[bytes], expected: str = "a message") -> Message:
         """Return the message in the client's frames."""
         try:
