@@ -14,7 +14,7 @@ from glue.client.experiment import connect
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
-from tests.system.legacy.legacy_client import Connection, Experiment, play_agent, play_environment
+from tests.system.legacy.legacy_client import Connection, OriginalExperiment, play_agent, play_environment
 
 _STEPS = 5000
 _SESSION = "0"
@@ -70,9 +70,9 @@ def _originals(size: str) -> Iterator[Callable[[], float]]:
 @contextmanager
 def _all_original(size: str) -> Iterator[Callable[[], float]]:
     with _gateway(size) as (_, port):
-        glue = Experiment(Connection(port))
-        glue.init()
-        yield lambda: _per_second(lambda: glue.episode(_STEPS))
+        glue = OriginalExperiment(Connection(port))
+        glue.rl_init()
+        yield lambda: _per_second(lambda: glue.rl_episode(_STEPS))
         glue.close()
 
 

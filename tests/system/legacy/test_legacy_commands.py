@@ -21,11 +21,10 @@ from tests.system.legacy.legacy_client import (
     STYLES,
     TIMEOUT,
     Connection,
-    Experiment,
+    OriginalExperiment,
     play_agent,
     play_environment,
 )
-from tests.system.legacy.legacy_rig import DisguisedExperiment
 from tests.terminal import Terminal
 
 BIND = ("--bind", "tcp://127.0.0.1:*")
@@ -43,7 +42,7 @@ def play_case(number: int, pool: ThreadPoolExecutor) -> None:
         pool.submit(play_agent, CASE.agent(), Connection(number, STYLES["java"])),
         pool.submit(play_environment, CASE.environment(), Connection(number, STYLES["python"])),
     )
-    with DisguisedExperiment(Experiment(Connection(number))) as glue:
+    with OriginalExperiment(Connection(number)) as glue:
         CASE.run(glue)
     for player in players:
         player.result(TIMEOUT)
@@ -93,13 +92,13 @@ def test_a_hub_out_of_descriptors_serves_those_it_has_and_later_the_others(tmp_p
     options = (*BIND, "--legacy-port", "*", "--legacy-port", "*=other")
     with closing(Terminal("glue-hub", *options, cwd=tmp_path)) as hub, ThreadPoolExecutor() as pool:
         number = port(hub)
-        with closing(Experiment(Connection(port(hub, "other")))) as inside:
-            assert inside.num_steps() == 0
+        with closing(OriginalExperiment(Connection(port(hub, "other")))) as inside:
+            assert inside.rl_num_steps() == 0
             most = 10 + max(map(int, os.listdir(f"/proc/{hub.process.pid}/fd")))
             resource.prlimit(hub.process.pid, resource.RLIMIT_NOFILE, (most, most))
             crowd = [socket.create_connection(("127.0.0.1", number), TIMEOUT) for _ in range(20)]
             hub.wait_for("cannot accept a connection for now")
-            assert inside.num_steps() == 0
+            assert inside.rl_num_steps() == 0
             for connection in crowd:
                 connection.close()
             play_case(number, pool)

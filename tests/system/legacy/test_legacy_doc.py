@@ -127,8 +127,8 @@ def test_an_original_experiment_and_environment_are_shown_no_terminal_after_a_tr
         rig.agent(MirrorAgent())
         rig.environment(environment)
         glue = rig.experiment()
-        glue.init()
+        glue.rl_init()
         for _ in range(2):
-            assert (glue.episode(3), glue.num_steps()) == (0, 3)
+            assert (glue.rl_episode(3), glue.rl_num_steps()) == (0, 3)
         glue.close()
     assert [call.split()[0] for call in environment.calls[1:]] == ["env_start", "env_step", "env_step"] * 2

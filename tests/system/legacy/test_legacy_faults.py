@@ -31,16 +31,15 @@ from tests.system.legacy.legacy_client import (
     Closed,
     Connection,
     Die,
-    Experiment,
     Id,
-    Numbers,
-    pack_numbers,
+    OriginalExperiment,
+    pack,
     probe,
 )
 from tests.system.legacy.legacy_rig import Log, Rig, gateway
 
 ROLES = (Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION)
-EMPTY = pack_numbers(Numbers())
+EMPTY = pack(Action())
 TERMINATE = struct.pack(">iI", Id.RL_TERM, 0)
 
 
@@ -67,7 +66,7 @@ def run_test_1(rig: Rig, session: str = "default") -> None:
     """Let an original trio show that everything works."""
     rig.agent(MirrorAgent(), session=session)
     rig.environment(FiveStepEnvironment(), session=session)
-    with rig.disguised(session=session) as glue:
+    with rig.experiment(session=session) as glue:
         SCENARIOS["test_1"].run(glue)
     rig.join()
 
@@ -108,12 +107,12 @@ def send_another(rig: Rig, mortal: str) -> None:
 def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(rig: Rig, mortal: str) -> None:
     let_die(rig, mortal)
     glue = rig.experiment()
-    glue.init()
+    glue.rl_init()
     glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
     rig.log.wait_for("to begin RL_EPISODE again")
     send_another(rig, mortal)
     assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
-    assert (glue.num_steps(), glue.num_episodes(), glue.episode_return()) == (5, 1, 5.0)
+    assert (glue.rl_num_steps(), glue.rl_num_episodes(), glue.rl_return()) == (5, 1, 5.0)
     glue.close()
 
 
@@ -135,17 +134,17 @@ def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_
 ) -> None:
     let_die(rig, mortal)
     glue = rig.experiment()
-    glue.init()
-    glue.start()
-    assert glue.step()[2] == glue.step()[2] == 0
+    glue.rl_init()
+    glue.rl_start()
+    assert glue.rl_step().terminal == glue.rl_step().terminal == 0
     with pytest.raises(ConnectionResetError):
-        glue.step()
+        glue.rl_step()
     glue.close()
     rig.log.wait_for("was cut off: its protocol cannot say that RL_STEP failed")
     send_another(rig, mortal)
     glue = rig.experiment()
-    glue.init()
-    assert glue.episode(0) == 1
+    glue.rl_init()
+    assert glue.rl_episode(0) == 1
     glue.close()
 
 
@@ -161,7 +160,7 @@ def test_a_player_lost_between_episodes_is_replaced_silently(rig: Rig) -> None:
     environment.close()
     rig.log.wait_for("closed its connection")  # although no call was outstanding
     rig.environment(FiveStepEnvironment())
-    assert glue.episode(0) == 1
+    assert glue.rl_episode(0) == 1
     assert calls[0] == "agent_init sample task spec"
     glue.close()
 
@@ -182,10 +181,10 @@ def test_any_call_that_can_be_made_anew_is(rig: Rig, request_id: Id) -> None:
     glue.close()
 
 
-ONE = pack_numbers(Numbers((1,)))
+ONE = pack(Action([1]))
 
 
-def void_the_start(rig: Rig, observation: bytes = ONE) -> tuple[Connection, Connection, Experiment]:
+def void_the_start(rig: Rig, observation: bytes = ONE) -> tuple[Connection, Connection, OriginalExperiment]:
     """Return agent, environment, experiment: the agent is still at work on a start that was made again."""
     agent, environment = join(rig, Id.AGENT_CONNECTION), join(rig, Id.ENVIRONMENT_CONNECTION)
     glue = rig.experiment()
@@ -205,17 +204,17 @@ def void_the_start(rig: Rig, observation: bytes = ONE) -> tuple[Connection, Conn
 
 def test_an_agent_that_still_thinks_about_a_void_step_is_sent_nothing_until_it_has_answered(rig: Rig) -> None:
     agent, environment, glue = void_the_start(rig)
-    agent.send(Id.AGENT_START, pack_numbers(Numbers((100,))))
+    agent.send(Id.AGENT_START, pack(Action([100])))
     assert agent.receive() == (Id.AGENT_START, ONE)
-    agent.send(Id.AGENT_START, pack_numbers(Numbers((101,))))
-    assert glue.connection.receive() == (Id.RL_START, ONE + pack_numbers(Numbers((101,))))
+    agent.send(Id.AGENT_START, pack(Action([101])))
+    assert glue.connection.receive() == (Id.RL_START, ONE + pack(Action([101])))
     glue.close()
     for player in (agent, environment):
         assert ending(player) == TERMINATE
 
 
 def test_a_call_that_had_to_wait_is_kept_no_longer_than_the_session_keeps_it(rig: Rig) -> None:
-    large = pack_numbers(Numbers((1,) * 30_000))
+    large = pack(Action([1] * 30_000))
     agent, environment, glue = void_the_start(rig, large)
     agent.send(Id.AGENT_START, EMPTY)
     assert agent.receive() == (Id.AGENT_START, large)
@@ -293,9 +292,9 @@ def test_a_port_probe_is_not_noticed_at_any_time(rig: Rig) -> None:
     rig.connect().reset()
     glue = rig.experiment()
     probe(rig.port())
-    glue.init()
+    glue.rl_init()
     probe(rig.port())
-    assert glue.episode(0) == 1
+    assert glue.rl_episode(0) == 1
     rig.connect().reset()
     glue.close()
     rig.join()
@@ -342,7 +341,7 @@ def test_all_requests_before_a_half_close_are_answered_behind_calls_of_players_t
     rig.agent(MirrorAgent())
     rig.environment(FiveStepEnvironment())
     glue = rig.experiment()
-    glue.init()
+    glue.rl_init()
     requests = [(Id.RL_START, b""), *[(Id.RL_STEP, b"")] * 4, (Id.RL_EPISODE, struct.pack(">i", 0))] * 20
     glue.connection.send_raw(b"".join(struct.pack(">iI", kind, len(body)) + body for kind, body in requests))
     glue.connection.close_writing()
@@ -374,16 +373,16 @@ def test_a_second_of_a_role_is_turned_away_and_the_first_stays(rig: Rig, role: I
     rig.agent(MirrorAgent())
     rig.environment(FiveStepEnvironment())
     glue = rig.experiment()
-    glue.init()
-    glue.start()
+    glue.rl_init()
+    glue.rl_start()
     second = join(rig, role)
     if role == Id.EXPERIMENT_CONNECTION:
         assert_reset(second)
     else:
         assert ending(second) == TERMINATE
     rig.log.wait_for("refused a peer of session 'default'")
-    assert glue.step()[2] == 0
-    assert glue.agent_message("still there") == "still there|1.|still there"
+    assert glue.rl_step().terminal == 0
+    assert glue.rl_agent_message("still there") == "still there|1.|still there"
     glue.close()
 
 
@@ -426,7 +425,7 @@ def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_ru
     assert ending(liar) == TERMINATE
     rig.agent(MirrorAgent())
     assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
-    assert glue.num_steps() == 3
+    assert glue.rl_num_steps() == 3
     glue.close()
 
 
@@ -447,7 +446,7 @@ def let_our_environment_raise() -> None:
         rig.native_environment(ScriptedEnvironment(before=fall))
         rig.agent(MirrorAgent())
         glue = rig.experiment()
-        glue.init()
+        glue.rl_init()
         glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
         assert_reset(glue.connection)
         rig.log.wait_for("cannot say that RL_EPISODE failed: environment ScriptedEnvironment")
@@ -561,8 +560,8 @@ def check_ended(connection: Connection) -> None:
 def play(rig: Rig) -> None:
     """Play an episode in the session without the fault."""
     experiment = rig.experiment()
-    experiment.init()
-    assert experiment.episode(0) == 1
+    experiment.rl_init()
+    assert experiment.rl_episode(0) == 1
     experiment.close()
 
 

@@ -11,13 +11,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from glue.types import Action
 from tests.proof import size
 from tests.system.conformance import FiveStepEnvironment, MirrorAgent
-from tests.system.legacy.legacy_client import Connection, Id, Numbers, pack_numbers
+from tests.system.legacy.legacy_client import Connection, Id, pack
 from tests.system.legacy.legacy_rig import Rig, gateway
 
 ATTACKED = "attacked"
-EMPTY = pack_numbers(Numbers())
+EMPTY = pack(Action())
 TEXT = struct.pack(">I", 2) + b"hi"
 
 unhurried = settings(
@@ -38,7 +39,7 @@ class Arena:
         self._bystander = rig.experiment()
         self._episodes = 0
         self._open: list[Connection] = []
-        self._bystander.init()
+        self._bystander.rl_init()
 
     def connect(self) -> Connection:
         connection = self.rig.connect(session=self.attacked)
@@ -53,9 +54,9 @@ class Arena:
     def check(self) -> None:
         """Check that the other session is undisturbed, and clear away the remains of the attack."""
         self._episodes += 1
-        assert self._bystander.episode(0) == 1
-        assert self._bystander.num_steps() == 5
-        assert self._bystander.num_episodes() == self._episodes
+        assert self._bystander.rl_episode(0) == 1
+        assert self._bystander.rl_num_steps() == 5
+        assert self._bystander.rl_num_episodes() == self._episodes
         for connection in self._open:
             with suppress(OSError):  # closed in the attack
                 connection.reset()
@@ -148,7 +149,7 @@ numbers = st.builds(
     st.binary(max_size=64),
 )
 sound_numbers = st.builds(
-    lambda ints, chars: pack_numbers(Numbers(tuple(ints), (), chars)),
+    lambda ints, chars: pack(Action(ints, (), chars)),
     st.lists(int32, max_size=4),
     st.binary(max_size=8),
 )
