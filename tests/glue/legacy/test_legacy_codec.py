@@ -31,7 +31,7 @@ from glue.legacy.codec import (
     Vocabulary,
     encode,
 )
-from glue.types import Action, Observation, body_size
+from glue.types import Action, Observation
 from glue.wire.messages import Body, Kind
 from tests.proof import size
 
@@ -50,6 +50,8 @@ OF_ROLE = {
     for role in ("agent", "environment", "experiment")
     for end, way in (("client", "from"), ("server", "to"))
 }
+
+pytestmark = pytest.mark.proof
 
 some = settings(max_examples=size(15, 1000), suppress_health_check=[HealthCheck.too_slow])
 
@@ -297,19 +299,6 @@ def test_a_text_may_have_a_million_bytes_and_not_one_more() -> None:
 # Malformed input
 
 
-def check_body(form: Body, body: bytes) -> None:
-    if form is Body.NONE:
-        assert body == b""
-    elif form is Body.TEXT:
-        assert b"\0" not in body
-    elif form is Body.OBSERVATION_ACTION:
-        size = body_size(body)
-        Observation.from_body(body[:size])
-        Action.from_body(body[size:])
-    else:
-        Observation.from_body(body)
-
-
 def payloads() -> Iterator[tuple[Vocabulary, int, bytes]]:
     some = Observation([1, 2], [0.5], b"abc").body
     sample = {
@@ -396,31 +385,6 @@ def test_after_an_error_the_decoder_stays_in_error_and_keeps_nothing() -> None:
     with pytest.raises(RemoteProtocolError) as second:
         decoder.next_event()
     assert str(first.value) == str(second.value)
-
-
-@pytest.mark.parametrize("vocabulary", VOCABULARIES.values(), ids=VOCABULARIES)
-@some
-@given(data=st.data())
-def test_random_bytes_give_messages_or_the_one_error(vocabulary: Vocabulary, data: st.DataObject) -> None:
-    kinds = st.sampled_from([*vocabulary, Control.TERMINATE, 0])
-    near_frames = st.builds(raw, kinds, st.binary(max_size=60))
-    near_texts = st.builds(lambda kind, text: raw(kind, text_of(text)), kinds, st.binary(max_size=20))
-    near_bodies = st.builds(
-        lambda kind, counts, rest: raw(kind, struct.pack(">3I", *counts) + rest),
-        kinds,
-        st.tuples(*[st.integers(0, 3) | st.integers(0, 2**32 - 1)] * 3),
-        st.binary(max_size=60),
-    )
-    chunks = data.draw(st.lists(st.binary(max_size=40) | near_frames | near_texts | near_bodies, max_size=6))
-    decoder = Decoder(vocabulary)
-    try:
-        for chunk in chunks:
-            decoder.receive_data(chunk)
-            for message in events(decoder):
-                assert message.kind in vocabulary
-                check_body(vocabulary[message.kind].body, message.body)
-    except RemoteProtocolError:
-        pass
 
 
 # What cannot be sent
