@@ -14,7 +14,7 @@ from glue.client.experiment import connect
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
-from tests.system.legacy.legacy_client import Connection, OriginalExperiment, play_agent, play_environment
+from tests.system.legacy.legacy_client import Connection, OriginalExperiment, play
 
 _STEPS = 5000
 _SESSION = "0"
@@ -96,11 +96,7 @@ def _per_second(episode: Callable[[], object]) -> float:
 
 
 def _main(port: str, size: str, role: str) -> None:
-    connection = Connection(int(port))
-    if role == "agent":
-        play_agent(Still(), connection)
-    else:
-        play_environment(Walk(SIZES[size]), connection)
+    play(Still() if role == "agent" else Walk(SIZES[size]), Connection(int(port)))
 
 
 if __name__ == "__main__":

@@ -244,48 +244,18 @@ class Die(Exception):
     """Raised by a program to have its connection reset instead of an answer sent."""
 
 
-def play_agent(agent: Agent, connection: Connection) -> None:
-    """Join as an agent, and let one of ours answer the server until it says goodbye, or until the agent dies.
+def play(player: Agent | Environment, connection: Connection) -> None:
+    """Join, and let one of our players answer the server until it says goodbye, or until the player dies.
 
     Raises:
         Closed: the server closed the connection without a goodbye.
     """
-    answers: Answers = {
-        Id.AGENT_INIT: lambda payload: agent.agent_init(unpack_text(payload)),
-        Id.AGENT_START: lambda payload: pack(agent.agent_start(unpack(payload)[0])),
-        Id.AGENT_STEP: lambda payload: pack(
-            agent.agent_step(struct.unpack_from(">d", payload)[0], unpack(payload, 8)[0])
-        ),
-        Id.AGENT_END: lambda payload: agent.agent_end(*struct.unpack(">d", payload)),
-        Id.AGENT_CLEANUP: lambda payload: agent.agent_cleanup(),
-        Id.AGENT_MESSAGE: lambda payload: agent.agent_message(unpack_text(payload)),
-    }
-    _serve(Id.AGENT_CONNECTION, connection, answers)
-
-
-def play_environment(environment: Environment, connection: Connection) -> None:
-    """Join as an environment, and let one of ours answer until the server says goodbye, or until it dies.
-
-    Raises:
-        Closed: the server closed the connection without a goodbye.
-    """
-
-    def step(payload: bytes) -> bytes:
-        reward, observation, terminal, *_ = environment.env_step(as_action(unpack(payload)[0]))
-        return struct.pack(">id", terminal, reward) + pack(observation)
-
-    answers: Answers = {
-        Id.ENV_INIT: lambda payload: environment.env_init(),
-        Id.ENV_START: lambda payload: pack(environment.env_start()),
-        Id.ENV_STEP: step,
-        Id.ENV_CLEANUP: lambda payload: environment.env_cleanup(),
-        Id.ENV_MESSAGE: lambda payload: environment.env_message(unpack_text(payload)),
-    }
-    _serve(Id.ENVIRONMENT_CONNECTION, connection, answers)
-
-
-def _serve(role: Id, connection: Connection, answers: Answers) -> None:
-    connection.send(role)
+    if isinstance(player, Agent):
+        answers = _answers_of_agent(player)
+        connection.send(Id.AGENT_CONNECTION)
+    else:
+        answers = _answers_of_environment(player)
+        connection.send(Id.ENVIRONMENT_CONNECTION)
     try:
         while True:
             message_id, payload = connection.receive()
@@ -304,6 +274,33 @@ def _serve(role: Id, connection: Connection, answers: Answers) -> None:
         connection.reset()
     finally:
         connection.close()
+
+
+def _answers_of_agent(agent: Agent) -> Answers:
+    return {
+        Id.AGENT_INIT: lambda payload: agent.agent_init(unpack_text(payload)),
+        Id.AGENT_START: lambda payload: pack(agent.agent_start(unpack(payload)[0])),
+        Id.AGENT_STEP: lambda payload: pack(
+            agent.agent_step(struct.unpack_from(">d", payload)[0], unpack(payload, 8)[0])
+        ),
+        Id.AGENT_END: lambda payload: agent.agent_end(*struct.unpack(">d", payload)),
+        Id.AGENT_CLEANUP: lambda payload: agent.agent_cleanup(),
+        Id.AGENT_MESSAGE: lambda payload: agent.agent_message(unpack_text(payload)),
+    }
+
+
+def _answers_of_environment(environment: Environment) -> Answers:
+    def step(payload: bytes) -> bytes:
+        reward, observation, terminal, *_ = environment.env_step(as_action(unpack(payload)[0]))
+        return struct.pack(">id", terminal, reward) + pack(observation)
+
+    return {
+        Id.ENV_INIT: lambda payload: environment.env_init(),
+        Id.ENV_START: lambda payload: pack(environment.env_start()),
+        Id.ENV_STEP: step,
+        Id.ENV_CLEANUP: lambda payload: environment.env_cleanup(),
+        Id.ENV_MESSAGE: lambda payload: environment.env_message(unpack_text(payload)),
+    }
 
 
 _SENT = {Id.RL_EPISODE: ">I", Id.RL_AGENT_STEP: ">d", Id.RL_AGENT_END: ">d"}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 import pytest
 import zmq
@@ -26,8 +28,7 @@ from tests.system.legacy.legacy_client import (
     Connection,
     OriginalExperiment,
     Style,
-    play_agent,
-    play_environment,
+    play,
 )
 from tests.system.runs import wait_until
 
@@ -105,28 +106,16 @@ class Rig:
         """Connect as one of our experiments."""
         return connect(self.url, session, context=self._context)
 
-    def agent(self, agent: Agent, style: Style = C, session: str = "default") -> None:
-        """Let an agent play as an original program, in a thread."""
-        self.serve_agent(agent, self.connect(style, session))
+    def originals(self, *players: Agent | Environment, style: Style = C, session: str = "default") -> None:
+        """Let players play as original programs, each in a thread."""
+        for player in players:
+            self._start(partial(play, player, self.connect(style, session)))
 
-    def serve_agent(self, agent: Agent, connection: Connection) -> None:
-        """Let an agent play as an original program over a connection that the test controls."""
-        self._start(lambda: play_agent(agent, connection))
-
-    def environment(self, environment: Environment, style: Style = C, session: str = "default") -> None:
-        """Let an environment play as an original program, in a thread."""
-        connection = self.connect(style, session)
-        self._start(lambda: play_environment(environment, connection))
-
-    def native_agent(self, agent: Agent, session: str = "default") -> None:
-        """Let one of our agents play, in a thread."""
-        url, context = self.url, self._context
-        self._start(lambda: serve_agent(agent, url, session, context=context))
-
-    def native_environment(self, environment: Environment, session: str = "default") -> None:
-        """Let one of our environments play, in a thread."""
-        url, context = self.url, self._context
-        self._start(lambda: serve_environment(environment, url, session, context=context))
+    def ours(self, *players: Agent | Environment, session: str = "default") -> None:
+        """Let our players play, each in a thread."""
+        for player in players:
+            serve: Any = serve_agent if isinstance(player, Agent) else serve_environment
+            self._start(partial(serve, player, self.url, session, context=self._context))
 
     def _start(self, program: Callable[[], object]) -> None:
         def run() -> None:

@@ -53,8 +53,7 @@ def test_all_sides_of_one_recording_after_the_other_get_the_bytes_of_the_origina
 
 
 def test_recorded_experiments_get_from_our_players_what_they_got_from_the_originals(rig: Rig) -> None:
-    rig.native_agent(MirrorAgent())
-    rig.native_environment(FiveStepEnvironment())
+    rig.ours(MirrorAgent(), FiveStepEnvironment())
     for capture in [CAPTURES[-1], *OF_A1_AND_E1]:
         replay(capture, rig, "experiment")
 
@@ -62,8 +61,8 @@ def test_recorded_experiments_get_from_our_players_what_they_got_from_the_origin
 @pytest.mark.parametrize("ours", ["agent", "environment"])
 def test_recorded_players_get_the_same_beside_one_of_ours(rig: Rig, ours: str) -> None:
     if ours == "agent":
-        rig.native_agent(MirrorAgent())
+        rig.ours(MirrorAgent())
     else:
-        rig.native_environment(FiveStepEnvironment())
+        rig.ours(FiveStepEnvironment())
     for capture in OF_A1_AND_E1:
         replay(capture, rig, *(role for role in ROLES if role != ours))

@@ -22,8 +22,7 @@ from tests.system.legacy.legacy_client import (
     TIMEOUT,
     Connection,
     OriginalExperiment,
-    play_agent,
-    play_environment,
+    play,
 )
 from tests.terminal import Terminal
 
@@ -39,8 +38,8 @@ def port(command: Terminal, session: str = "default") -> int:
 def play_case(number: int, pool: ThreadPoolExecutor) -> None:
     """Let three original programs meet at a port, and play."""
     players = (
-        pool.submit(play_agent, CASE.agent(), Connection(number, STYLES["java"])),
-        pool.submit(play_environment, CASE.environment(), Connection(number, STYLES["python"])),
+        pool.submit(play, CASE.agent(), Connection(number, STYLES["java"])),
+        pool.submit(play, CASE.environment(), Connection(number, STYLES["python"])),
     )
     with OriginalExperiment(Connection(number)) as glue:
         CASE.run(glue)
@@ -53,7 +52,7 @@ def test_a_hub_joins_original_programs_by_their_ports_and_says_goodbye_when_it_i
 ) -> None:
     ports = ("--legacy-port", "*", "--legacy-port", "*=other")
     with closing(Terminal("glue-hub", *BIND, *ports, cwd=tmp_path)) as hub, ThreadPoolExecutor() as pool:
-        waiting = pool.submit(play_agent, CASE.agent(), Connection(port(hub, "other")))
+        waiting = pool.submit(play, CASE.agent(), Connection(port(hub, "other")))
         play_case(port(hub), pool)
         hub.wait_for("session 'other': agent")
         hub.send_signal(signal.SIGTERM)
@@ -66,7 +65,7 @@ def test_each_trial_takes_another_original_agent_and_all_are_one_setting(tmp_pat
     with closing(Terminal("glue-experiment", *options.split(), *BIND, cwd=tmp_path)) as experiment:
         for style in ("python", "java"):
             agent = ScriptedAgent()
-            play_agent(agent, Connection(port(experiment), STYLES[style]))
+            play(agent, Connection(port(experiment), STYLES[style]))
             # Truncated after its first step, an episode ends without a call.
             assert [call.split()[0] for call in agent.calls[1:-1]] == ["agent_start"] * 2
         assert experiment.end() == 0, experiment.lines
@@ -81,7 +80,7 @@ def test_an_original_agent_that_connects_before_there_is_a_hub_joins_the_first_t
     with listening(plan, Meeting(hub=options), lines.append) as meeting, ThreadPoolExecutor() as pool:
         number = meeting.opened_legacy[here].port
         for spec in plan.expand():
-            agent = pool.submit(play_agent, SCENARIOS["skeleton"].agent(), Connection(number))
+            agent = pool.submit(play, SCENARIOS["skeleton"].agent(), Connection(number))
             with open_experiment(spec, meeting, lines.append, lambda: 0) as glue:
                 glue.rl_init()
                 assert glue.rl_episode(9) in (True, False)

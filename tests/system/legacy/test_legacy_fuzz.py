@@ -29,8 +29,7 @@ class Arena:
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.attacked = ATTACKED
-        rig.agent(MirrorAgent())
-        rig.environment(FiveStepEnvironment())
+        rig.originals(MirrorAgent(), FiveStepEnvironment())
         self._bystander = rig.experiment()
         self._episodes = 0
         self._open: list[Connection] = []

@@ -25,8 +25,7 @@ CHECKED = sorted(SCENARIOS.keys() - {"test_speed"})
 def test_the_cases_of_the_original_suites_pass_in_every_style(rig: Rig, style: str) -> None:
     for case in CHECKED:
         scenario = SCENARIOS[case]
-        rig.agent(scenario.agent(), STYLES[style])
-        rig.environment(scenario.environment(), STYLES[style])
+        rig.originals(scenario.agent(), scenario.environment(), style=STYLES[style])
         with rig.experiment(STYLES[style]) as glue:
             scenario.run(glue)
         rig.join()
@@ -49,13 +48,13 @@ def test_a_mixture_of_ours_and_originals_gives_the_numbers_of_ours(rig: Rig, ori
     agents = [SarsaAgent(seed=1) for _ in range(2)]
     environments = [MinesEnvironment(random_start=True, seed=2) for _ in range(2)]
     if originals & 1:
-        rig.agent(agents[0], STYLES["java"])
+        rig.originals(agents[0], style=STYLES["java"])
     else:
-        rig.native_agent(agents[0])
+        rig.ours(agents[0])
     if originals & 2:
-        rig.environment(environments[0], STYLES["python"])
+        rig.originals(environments[0], style=STYLES["python"])
     else:
-        rig.native_environment(environments[0])
+        rig.ours(environments[0])
     with rig.experiment() if originals & 4 else rig.native() as glue:
         seen = learn(glue)
     with local(agents[1], environments[1]) as glue:
@@ -66,9 +65,9 @@ def test_every_order_of_joining_works_and_an_experiment_may_call_before_the_othe
     for order in itertools.permutations(("agent", "environment", "experiment")):
         for role in order:
             if role == "agent":
-                rig.agent(MirrorAgent())
+                rig.originals(MirrorAgent())
             elif role == "environment":
-                rig.environment(FiveStepEnvironment())
+                rig.originals(FiveStepEnvironment())
             else:
                 glue = rig.experiment()
                 glue.connection.send(Id.RL_INIT)
@@ -80,8 +79,7 @@ def test_every_order_of_joining_works_and_an_experiment_may_call_before_the_othe
 
 def test_half_steps_go_to_one_side_alone_and_leave_the_last_action_as_it_was(rig: Rig) -> None:
     calls: list[str] = []
-    rig.native_agent(ScriptedAgent(calls))
-    rig.native_environment(ScriptedEnvironment(calls=calls))
+    rig.ours(ScriptedAgent(calls), ScriptedEnvironment(calls=calls))
     glue = rig.experiment()
     assert glue.rl_init() == "a task"
     assert glue.rl_env_start() == Observation([0])
@@ -108,13 +106,13 @@ def test_half_steps_go_to_one_side_alone_and_leave_the_last_action_as_it_was(rig
 
 def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> None:
     calls: list[str] = []
-    rig.native_agent(ScriptedAgent(calls))
-    rig.environment(FiveStepEnvironment())
+    rig.ours(ScriptedAgent(calls))
+    rig.originals(FiveStepEnvironment())
     glue = rig.experiment()
     glue.rl_init()
     glue.close()
     rig.log.wait_for("was dismissed")
-    rig.environment(FiveStepEnvironment())
+    rig.originals(FiveStepEnvironment())
     glue = rig.experiment()
     glue.rl_init()
     glue.close()
@@ -123,8 +121,8 @@ def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> No
 
 def test_an_episode_counts_as_steps_only_if_it_went_on_after_one(rig: Rig) -> None:
     environment = ScriptedEnvironment(length=1)
-    rig.native_agent(ScriptedAgent())
-    rig.native_environment(environment)
+    rig.ours(ScriptedAgent())
+    rig.ours(environment)
     glue = rig.experiment()
     glue.rl_init()
     for length, max_steps, expected in ((1, 0, Action()), (2, 1, Action()), (2, 2, Action([100]))):
@@ -137,7 +135,7 @@ def test_an_episode_counts_as_steps_only_if_it_went_on_after_one(rig: Rig) -> No
 
 
 def test_bytes_that_are_not_utf8_pass_unchanged(rig: Rig) -> None:
-    rig.native_agent(SCENARIOS["test_message"].agent())
+    rig.ours(SCENARIOS["test_message"].agent())
     glue = rig.experiment()
     assert glue.rl_agent_message("\udcff\udc80") == "\udcff\udc80"
     glue.close()
@@ -145,8 +143,8 @@ def test_bytes_that_are_not_utf8_pass_unchanged(rig: Rig) -> None:
 
 def test_a_million_of_each_is_the_maximum_an_original_is_sent(rig: Rig) -> None:
     count = 1_000_000
-    rig.agent(MirrorAgent())
-    rig.native_environment(ScriptedEnvironment())
+    rig.originals(MirrorAgent())
+    rig.ours(ScriptedEnvironment())
     with rig.native() as glue:
         action = glue.rl_agent_start(Observation([1] * count, [], b"c" * count))
         assert action.counts == (count, 0, count)
