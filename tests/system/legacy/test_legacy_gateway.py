@@ -47,14 +47,11 @@ def test_a_mixture_of_ours_and_originals_gives_the_numbers_of_ours(rig: Rig, ori
     # Without a seed from the experiment, which does not reach original programs.
     agents = [SarsaAgent(seed=1) for _ in range(2)]
     environments = [MinesEnvironment(random_start=True, seed=2) for _ in range(2)]
-    if originals & 1:
-        rig.originals(agents[0], style=STYLES["java"])
-    else:
-        rig.ours(agents[0])
-    if originals & 2:
-        rig.originals(environments[0], style=STYLES["python"])
-    else:
-        rig.ours(environments[0])
+    for bit, player, style in ((1, agents[0], "java"), (2, environments[0], "python")):
+        if originals & bit:
+            rig.originals(player, style=STYLES[style])
+        else:
+            rig.ours(player)
     with rig.experiment() if originals & 4 else rig.native() as glue:
         seen = learn(glue)
     with local(agents[1], environments[1]) as glue:
@@ -62,15 +59,13 @@ def test_a_mixture_of_ours_and_originals_gives_the_numbers_of_ours(rig: Rig, ori
 
 
 def test_every_order_of_joining_works_and_an_experiment_may_call_before_the_others_join(rig: Rig) -> None:
-    for order in itertools.permutations(("agent", "environment", "experiment")):
-        for role in order:
-            if role == "agent":
-                rig.originals(MirrorAgent())
-            elif role == "environment":
-                rig.originals(FiveStepEnvironment())
-            else:
-                glue = rig.experiment()
-                glue.connection.send(Id.RL_INIT)
+    for order in itertools.permutations((MirrorAgent, FiveStepEnvironment, None)):
+        for player in order:
+            if player is not None:
+                rig.originals(player())
+                continue
+            glue = rig.experiment()
+            glue.connection.send(Id.RL_INIT)
         assert glue.connection.receive() == (Id.RL_INIT, struct.pack(">I", 16) + b"sample task spec")
         assert glue.rl_episode(0) == 1
         glue.close()
