@@ -7,7 +7,6 @@ import struct
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -104,65 +103,6 @@ def test_every_recorded_frame_is_read_and_written_back_to_the_same_bytes(path: P
 
 
 # Round trips
-
-
-def bodies() -> st.SearchStrategy[bytes]:
-    def body(ints: list[int], doubles: list[int], chars: bytes) -> bytes:
-        return (
-            struct.pack("<4I", len(ints), len(doubles), len(chars), 0)
-            + struct.pack(f"<{len(doubles)}Q{len(ints)}I", *doubles, *ints)
-            + chars
-        )
-
-    return st.builds(
-        body,
-        st.lists(st.integers(0, 2**32 - 1), max_size=9),
-        st.lists(st.integers(0, 2**64 - 1), max_size=9),
-        st.binary(max_size=9),
-    )
-
-
-def texts() -> st.SearchStrategy[bytes]:
-    as_text = st.text(st.characters(blacklist_characters="\0", codec="utf-8"), max_size=20)
-    return as_text.map(str.encode) | st.binary(max_size=20).map(lambda data: data.replace(b"\0", b"\xff"))
-
-
-SCALARS: dict[type, st.SearchStrategy[Any]] = {
-    bool: st.booleans(),
-    int: st.integers(0, 2**31 - 1),
-    float: st.floats(allow_nan=False),
-}
-BODIES: dict[Body, st.SearchStrategy[bytes]] = {
-    Body.NONE: st.just(b""),
-    Body.OBSERVATION: bodies(),
-    Body.ACTION: bodies(),
-    Body.OBSERVATION_ACTION: st.builds(bytes.__add__, bodies(), bodies()),
-    Body.TEXT: texts(),
-}
-
-
-@st.composite
-def frames_of(draw: st.DrawFn, vocabulary: Vocabulary) -> Frame:
-    layout = vocabulary[draw(st.sampled_from(sorted(vocabulary)))]
-    scalars = tuple(draw(SCALARS[of_type]) for of_type in layout.types)
-    return Frame(layout.kind, scalars, draw(BODIES[layout.body]))
-
-
-@pytest.mark.parametrize("vocabulary", VOCABULARIES.values(), ids=VOCABULARIES)
-@some
-@given(data=st.data())
-def test_messages_survive_writing_and_reading_at_any_split(
-    vocabulary: Vocabulary, data: st.DataObject
-) -> None:
-    sent = data.draw(st.lists(frames_of(vocabulary), max_size=4))
-    stream = b"".join(encode(message, vocabulary) for message in sent)
-    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
-    decoder = Decoder(vocabulary)
-    received: list[Frame] = []
-    for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
-        decoder.receive_data(stream[start:end])
-        received.extend(events(decoder))
-    assert received == sent
 
 
 @some

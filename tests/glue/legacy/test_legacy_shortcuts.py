@@ -106,10 +106,10 @@ def test_frames_are_read_alike_whole_and_cut_anywhere_and_whatever_was_read_befo
                 assert read == expected, f"conversation {seed}, cut at {cut}"
 
 
-def test_frames_are_written_alike_whatever_was_written_before() -> None:
+def test_frames_are_written_alike_whatever_was_written_before_and_read_back() -> None:
     for seed in range(size(1000, 100_000)):
         random = Random(seed)
-        vocabulary = random.choice([TO_AGENT, TO_EXPERIMENT, FROM_ENVIRONMENT])
+        vocabulary = random.choice(VOCABULARIES)
         layout = random.choice(list(vocabulary.values()))
         frame = Frame(layout.kind, scalars_of(random, layout), body_of(random, layout.body))
         remember(b"")
@@ -117,6 +117,13 @@ def test_frames_are_written_alike_whatever_was_written_before() -> None:
         for known in TYPES:
             remember(known)
             assert outcome(partial(encode, frame, vocabulary)) == expected, f"frame {seed}"
+        if "Error" not in expected:
+            scalars = tuple(
+                of_type(value) for of_type, value in zip(layout.types, frame.scalars, strict=True)
+            )
+            sent = {Body.NONE: b"", Body.TEXT: frame.body.partition(b"\0")[0]}.get(layout.body, frame.body)
+            read = reading([encode(frame, vocabulary)], vocabulary, 2**24, bytes)
+            assert read == [repr(Frame(layout.kind, scalars, sent)), "0"], f"frame {seed}"
 
 
 def test_an_observation_and_an_action_are_written_alike_together_and_one_by_one() -> None:
