@@ -23,6 +23,9 @@ from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind, Message, Role,
 MAX_BODY: Final = 2**20
 """Bytes of the largest body that the kit accepts, as its WELCOME says."""
 
+BEAT: Final = encode(Message(Kind.HEARTBEAT, "", 0), FROM_HUB)
+"""A HEARTBEAT of the kit's."""
+
 QUIET: Final = 0.25
 """Default seconds of silence after which no message is expected: a wrong message would come at once."""
 

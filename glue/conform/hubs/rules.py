@@ -7,7 +7,7 @@ from typing import Final
 
 from glue.conform.forms import SPOILED, SPOILED_BODIES
 from glue.conform.hubs.scripted import TASK_SPEC, Scene, ScriptedPeer, did, number, reward, saw
-from glue.conform.messages import shown
+from glue.conform.messages import described
 from glue.conform.rules import Broken, Rules, Tier
 from glue.types import Action
 from glue.wire.codec import TO_HUB, encode
@@ -74,7 +74,7 @@ def numbers(scene: Scene) -> None:
     scene.episode(0, 3)
     for before, call in pairwise(scene.calls):
         if call.seq <= before.seq:
-            raise Broken("calls with growing numbers", f"{shown(call)} after call {before.seq}")
+            raise Broken("calls with growing numbers", f"{described(call)} after call {before.seq}")
 
 
 @RULES.add(Tier.PLAYS, "what-the-calls-mean")
@@ -124,7 +124,7 @@ def outcome(scene: Scene) -> None:
         steps = length if ended else limit
         told = ended, sum(map(reward, range(1, steps + ended))), steps
         scene.experiment.check(
-            message.scalars in (told, told[:1]), f"{shown(message)} received, and the outcome is {told}"
+            message.scalars in (told, told[:1]), f"{described(message)} received, and the outcome is {told}"
         )
         scene.counted(*told[1:], 1)
 
@@ -360,7 +360,7 @@ def resumed(scene: Scene) -> None:
     scene.environment.join(resumed=True)
     again = scene.environment.expects(Kind.ENV_STEP)
     scene.environment.check(
-        (again.seq, again.body) == (number, did(0)), f"{shown(again)} received instead of call {number}"
+        (again.seq, again.body) == (number, did(0)), f"{described(again)} received instead of call {number}"
     )
     scene.finish_first_step(number)
     scene.experiment.connect()
@@ -384,7 +384,7 @@ def welcome_lost(scene: Scene) -> None:
     scene.environment.connect()
     scene.environment.join(resumed=False)
     again = scene.environment.expects(Kind.ENV_INIT)
-    scene.environment.check(again.seq == number, f"{shown(again)} received instead of call {number}")
+    scene.environment.check(again.seq == number, f"{described(again)} received instead of call {number}")
     scene.environment.send(Kind.ENV_INIT, seq=number, body=TASK_SPEC.encode())
     scene.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
     scene.experiment.expects_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
@@ -474,7 +474,7 @@ def replaced(scene: Scene) -> None:
 
 def _refused(peer: ScriptedPeer, code: ErrorCode, seq: int) -> None:
     refuse = peer.expects(Kind.REFUSE, seq)
-    peer.check(refuse.scalars[0] == code, f"{shown(refuse)} received instead of the code {code}")
+    peer.check(refuse.scalars[0] == code, f"{described(refuse)} received instead of the code {code}")
 
 
 def _unknown(session: str) -> bytes:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from glue.client.libzmq import Context, DealerTransport
-from glue.conform.messages import shown
+from glue.conform.messages import described
 from glue.conform.rules import Broken
 from glue.doors import chance, clock
 from glue.errors import LocalProtocolError, RemoteProtocolError
@@ -89,7 +89,7 @@ class ScriptedPeer:
         self.hello(seq=seq)
         welcome = self.expects(Kind.WELCOME, seq)
         known = "a known" if resumed else "an unknown"
-        self.check(welcome.scalars[1] is resumed, f"{shown(welcome)} received for {known} instance")
+        self.check(welcome.scalars[1] is resumed, f"{described(welcome)} received for {known} instance")
         return welcome
 
     def send(self, kind: Kind, *scalars: Value, seq: int = 0, body: bytes = b"") -> None:
@@ -124,19 +124,20 @@ class ScriptedPeer:
                 self.notices.append(message.scalars)
             elif message.kind is not Kind.HEARTBEAT:
                 where = "" if message.session == named else f" of session {message.session!r}"
-                raise self.broken(f"{shown(message)}{where} received instead of {expected}")
+                raise self.broken(f"{described(message)}{where} received instead of {expected}")
         raise self.broken(f"{expected} was not received in time")
 
     def expects_error(self, code: ErrorCode, seq: int | None = None) -> None:
         """Expect an ERROR of this code."""
         error = self.expects(Kind.ERROR, seq)
-        self.check(error.scalars[0] == code, f"{shown(error)} received instead of the error {code}")
+        self.check(error.scalars[0] == code, f"{described(error)} received instead of the error {code}")
 
     def expects_malformed(self) -> None:
         """Expect the reply to a malformed message."""
         error = self.expects(Kind.ERROR, 0, session="")
         self.check(
-            error.scalars[0] == ErrorCode.MALFORMED, f"{shown(error)} received instead of the error malformed"
+            error.scalars[0] == ErrorCode.MALFORMED,
+            f"{described(error)} received instead of the error malformed",
         )
 
     def expects_notice(self, event: Event, role: Role) -> None:
@@ -154,7 +155,7 @@ class ScriptedPeer:
         """Expect a call with just these scalars and body; return its number."""
         call = self.expects(kind)
         wanted = call._replace(scalars=scalars, body=body)
-        self.check(call == wanted, f"{shown(call)} received instead of {shown(wanted)}")
+        self.check(call == wanted, f"{described(call)} received instead of {described(wanted)}")
         self._scene.calls.append(call)
         return call.seq
 
@@ -173,7 +174,7 @@ class ScriptedPeer:
         """Expect the reply to the last request, with just these scalars and body."""
         reply = self.expects(kind, self.seq)
         wanted = reply._replace(scalars=scalars, body=body)
-        self.check(reply == wanted, f"{shown(reply)} received instead of {shown(wanted)}")
+        self.check(reply == wanted, f"{described(reply)} received instead of {described(wanted)}")
 
     def gets(self, kind: Kind, *scalars: Value) -> None:
         """Send a request that concerns no player, and expect a reply with these scalars."""
