@@ -1,6 +1,6 @@
 """The agent that plays only by a network, in NumPy, from the current observation.
 
-`python -m agents.ppo` and `python -m experiment_runner.study.generalisation.imitation` write its files.
+`studies/ppo.py` and `studies/imitation.py` in the repository write its files.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -28,12 +28,6 @@ def preferences(network: Network, seen: Reals) -> Reals:
         if layer < LAYERS - 1:
             seen = np.maximum(seen, 0)
     return seen
-
-
-def of_linear(layers: Sequence[Any]) -> dict[str, Reals]:
-    """Return a copy of the weights and biases of torch's linear layers."""
-    weights = {f"weight{i}": layer.weight.detach().numpy().T.copy() for i, layer in enumerate(layers)}
-    return weights | {f"bias{i}": layer.bias.detach().numpy().copy() for i, layer in enumerate(layers)}
 
 
 def save(network: Network, path: str) -> None:
