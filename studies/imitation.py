@@ -24,9 +24,9 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from agents.mario.actions import NUM_ACTIONS
+from agents.mario.agent import NUM_ACTIONS
+from agents.network.agent import LAYERS, WIDTHS, Network, preferences, save
 from agents.network.features import FEATURES, NONE, RECENT, Reals, features, remember
-from agents.network.weights import LAYERS, WIDTHS, Network, preferences, save
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LevelSet
 from env_server.mario.many.games import SAME_STEP, Games

@@ -23,9 +23,9 @@ import numpy as np
 import torch
 from torch import nn
 
-from agents.mario.actions import NUM_ACTIONS
+from agents.mario.agent import NUM_ACTIONS
+from agents.network.agent import WIDTHS, load, save
 from agents.network.features import FEATURES, NONE, RECENT, Reals, features, remember
-from agents.network.weights import WIDTHS, load, save
 from glue.errors import ConfigError, GlueError
 
 GAMES, LENGTH = 256, 64  # steps of each game between two updates

@@ -19,13 +19,13 @@ from typing import Final, NamedTuple
 import click
 import numpy as np
 
-from agents.keys import extend, feature
-from agents.mario.actions import LEFT, RIGHT, STAY, action_number
+from agents.mario.agent import LEFT, RIGHT, STAY, action_number
 from agents.mario.monsters import absolute_motion
 from agents.mario.scene import A_COIN, A_MONSTER, A_QUESTION, AWAY, NO_MOTION, STATIONARY, TOWARDS, VERTICAL
 from agents.mohan2010 import flo
+from agents.policy import extend, feature
 from agents.soar.mario_link import SPRITES
-from agents.soar.rules import parse_rules
+from agents.soar.player import parse_rules
 from experiment_runner.analysis.stats import FloatArray
 from experiment_runner.report.tables import markdown_table
 from experiment_runner.store.database import holds_run, reported

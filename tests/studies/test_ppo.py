@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.network.weights import Network, load, save
+from agents.network.agent import Network, load, save
 from tests.agents.network.test_network import arrays
 
 pytest.importorskip("torch", reason="it learns with PyTorch: pip install 'torch>=2.2'", exc_type=ImportError)
