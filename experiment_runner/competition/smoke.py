@@ -21,7 +21,7 @@ from experiment_runner.competition.secret import public_trial
 from experiment_runner.competition.settings import Competition, Entrant
 from experiment_runner.competition.starting import name_of_run
 from experiment_runner.executors.job import Ended, Lost, Recorded
-from experiment_runner.executors.local import LocalExecutor
+from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import write_flushed
 from experiment_runner.store.lock import LOCK_FILE, RunLock

@@ -51,8 +51,8 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "agents/ppo.py",
         "agents/soar/*",
         "experiment_runner/competition/containers.py",
-        "experiment_runner/meeting/children.py",
-        "experiment_runner/meeting/hints.py",
+        "experiment_runner/processes/children.py",
+        "experiment_runner/executors/hints.py",
         "experiment_runner/plan/provenance.py",
         "experiment_runner/report/progress.py",
         "experiment_runner/view/starting.py",
@@ -70,7 +70,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
             "experiment_runner/competition/programs.py",  # passes it on
-            "experiment_runner/meeting/children.py",  # PYTHONBREAKPOINT
+            "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
             "glue/conform/hub/clients.py",  # passes it on
         ),
