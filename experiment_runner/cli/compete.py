@@ -304,7 +304,7 @@ def _check_signature(directory: Path, public: bytes) -> None:
 
 
 def _load(file: Path) -> Competition:
-    from experiment_runner.competition.file import load_competition
+    from experiment_runner.competition.settings import load_competition
 
     return load_competition(file)
 
