@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import create_run
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.study.paper.experiments import EXPERIMENTS, PaperLevel, plan_of
 from experiment_runner.study.paper.report import END
