@@ -514,7 +514,7 @@ def test_command_compares_with_the_environment_it_is_told_to(tmp_path: Path) -> 
 def test_long_episode_of_the_original_takes_no_memory(tmp_path: Path) -> None:
     run, start = golden_lines("variants.jsonl.gz", 1)[:2]
     step = {"kind": "step", "a": [0, 0, 0], "r": 0, "end": 0, "h": "0123456789abcdef"}
-    path = write_golden(tmp_path / "long", [*as_hashes([run, start]), *[step] * 20_000, {"kind": "end"}])
+    path = write_golden(tmp_path / "long", [*as_hashes([run, start]), *[step] * 8_000, {"kind": "end"}])
     tracemalloc.start()
     try:
         (episode,) = (part for part in GoldenReader(path) if isinstance(part, GoldenEpisode))
