@@ -14,9 +14,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from experiment_runner.plan.toml import SettingError, shown, whole
+from experiment_runner.plan.toml import SettingError, shown
 
-_MOST: Final = 2**31
+MOST: Final = 2**31 - 1
+"""Maximum number of steps, or of values, from one value that is kept to the next."""
 
 
 class Keep(NamedTuple):
@@ -49,28 +50,19 @@ class MetricsPlan:
         return ", ".join(["recorded " + when, *(f"{name} = {keep}" for name, keep in self.keep.items())])
 
 
-def parse_metrics(every: object, table: object) -> MetricsPlan | None:
-    """Return the recording of metrics that a plan asks for; None if it asks for none.
-
-    Args:
-        every: `metrics_every` of the plan; None without it.
-        table: `metrics` of the plan; None without it.
+def metrics_of(every: int | None, table: Mapping[str, int | str] | None) -> MetricsPlan | None:
+    """Return the recording of metrics of a plan with these values of its keys; None if it has neither.
 
     Raises:
-        SettingError: a value does not belong there.
+        SettingError: a value is neither a number nor a mean.
     """
     if every is None and table is None:
         return None
-    steps = whole(0 if every is None else every, range(_MOST), "metrics_every", "metrics_every")
-    if not isinstance(table, dict | None):
-        raise SettingError(
-            'metrics are written as a table, as in: [metrics], then "mean TD error" = "mean 10"', "metrics"
-        )
-    return MetricsPlan(steps, {name: _keep(name, value) for name, value in (table or {}).items()})
+    return MetricsPlan(every or 0, {name: _keep(name, value) for name, value in (table or {}).items()})
 
 
-def _keep(name: str, value: object) -> Keep:
-    if type(value) is int and 0 < value < _MOST:
+def _keep(name: str, value: int | str) -> Keep:
+    if isinstance(value, int) and 0 < value <= MOST:
         return Keep(value)
     if isinstance(value, str) and (found := re.fullmatch(r"mean ([1-9][0-9]{0,8})", value)):
         return Keep(int(found[1]), True)

@@ -7,7 +7,9 @@ import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
+
+import msgspec
 
 from glue.errors import ExperimentError
 from glue.files import read_regular
@@ -16,6 +18,19 @@ from glue.suggestions import did_you_mean
 _MAX_BYTES: Final = 2**22
 _SHOWN: Final = 80
 """Maximum number of characters of a wrong value in a message."""
+
+
+_T = TypeVar("_T")
+
+_WORDS: Final = {
+    "BoolType": "true or false",
+    "IntType": "a whole number",
+    "FloatType": "a number",
+    "StrType": "a string",
+    **dict.fromkeys(("ListType", "VarTupleType"), "a list"),
+    **dict.fromkeys(("DictType", "StructType", "DataclassType"), "a table"),
+}
+"""What a value is called in messages, by the name of msgspec's description of its type."""
 
 
 class SettingError(ExperimentError):
@@ -86,6 +101,102 @@ def check_keys(table: Mapping[str, Any], known: Collection[str], what: str, *whe
     for key in table:
         if key not in known:
             raise SettingError(f"{what} has no {key!r:.80}{did_you_mean(key, known)}", *where, key)
+
+
+def fitted(table: object, kind: type[_T], what: str, *where: str) -> _T:
+    """Return a table of a document as a `kind`.
+
+    Args:
+        table: the table; it is of no use after an error.
+        kind: a `msgspec.Struct` that forbids unknown fields, or anything else that msgspec converts to. A
+            ValueError of its `__post_init__` is an error of that table.
+        what: names the table in messages, as in `a plan`.
+        where: its keys, if it is in other tables.
+
+    Raises:
+        SettingError: the table does not fit; the message names the key and what belongs there.
+    """
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        fault = str(error)
+    except ValueError:  # msgspec would print it
+        raise SettingError(f"{what} has a number of thousands of digits", *where) from None
+    from msgspec import inspect  # slow to import
+
+    found = re.fullmatch(r"(.*) - at `\$(.*)`", fault, re.DOTALL)
+    reason, path = found.groups() if found else (fault, "")
+    keys = list(where)
+    name = ""
+    value: Any = table
+    shape = inspect.type_info(kind)
+    for name, index in re.findall(r"\.(\w+)|\[(\d+|\.{3})\]", path):
+        if index == "...":
+            name = _keep_culprit(value, table, kind, fault)
+        if name:
+            keys.append(name)
+        value, shape = value[name or int(index)], _part(shape, name)
+    about = ".".join(keys) or what
+    if field := re.fullmatch(r"Object contains unknown field `(.*)`", reason, re.DOTALL):
+        known = [each.encode_name for one in _kinds(shape) for each in getattr(one, "fields", ())]
+        raise SettingError(f"{about} has no {field[1]!r:.80}{did_you_mean(field[1], known)}", *keys, field[1])
+    if field := re.fullmatch(r"Object missing required field `(.*)`", reason):
+        raise SettingError(f"{about} needs {field[1]}", *keys)
+    if reason.startswith(("Expected", "Invalid enum")):
+        words = dict.fromkeys(map(_described, _kinds(shape)))
+        if "a number" in words:
+            words.pop("a whole number", None)
+        example = f", as in: [{about}]" if [*words] == ["a table"] else ""
+        subject = f"each value of {about}" if path.endswith("]") and not name else about
+        raise SettingError(f"{subject} must be {' or '.join(words)}{example}, not {shown(value)}", *keys)
+    raise SettingError(f"{about}: {reason}", *keys)
+
+
+def _keep_culprit(inner: dict[str, Any], table: object, kind: object, fault: str) -> str:
+    """Return the key of a value of which msgspec says `fault`, without its key; all others are removed."""
+    values = dict(inner)
+    names = [*values]
+    while len(names) > 1:
+        half, rest = names[: len(names) // 2], names[len(names) // 2 :]
+        inner.clear()
+        inner.update({name: values[name] for name in half})
+        try:
+            msgspec.convert(table, kind)
+            names = rest
+        except ValueError as error:
+            names = half if str(error) == fault else rest
+    inner.clear()
+    inner[names[0]] = values[names[0]]
+    return names[0]
+
+
+def _kinds(shape: Any) -> tuple[Any, ...]:
+    """Return the members of a union, or the only kind; TOML has no null."""
+    kinds = getattr(shape, "types", (shape,))
+    return tuple(one for one in kinds if type(one).__name__ != "NoneType")
+
+
+def _part(shape: Any, name: str) -> Any:
+    """Return the shape of a value of a table, or, without a name, of a list."""
+    for one in _kinds(shape):
+        for field in getattr(one, "fields", ()):
+            if field.encode_name == name:
+                return field.type
+        part = getattr(one, "value_type" if name else "item_type", None)
+        if part is not None:
+            return part
+    raise AssertionError(shape)
+
+
+def _described(kind: Any) -> str:
+    """Return what a value must be, as in `a whole number from 1 to 9`."""
+    if hasattr(kind, "values"):
+        return f"one of {', '.join(kind.values)}"
+    text = _WORDS[type(kind).__name__]
+    low, high = getattr(kind, "ge", None), getattr(kind, "le", None)
+    if low is not None:
+        text += f" of at least {low}" if high is None else f" from {low} to {high}"
+    return f"{text} that is not empty" if getattr(kind, "min_length", None) else text
 
 
 def whole(value: object, allowed: range, what: str, *keys: str) -> int:

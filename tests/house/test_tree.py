@@ -20,7 +20,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "zmq": ["glue/client/libzmq.py"],
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
-    "msgspec": ["experiment_runner/executors/job.py", "experiment_runner/store/readings.py"],
+    "msgspec": ["experiment_runner/executors/job.py", "experiment_runner/plan/*", "experiment_runner/store/*"],
     "numba": ["glue/compiled/jit.py", "glue/compiled/threads.py"],
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],
