@@ -34,7 +34,6 @@ from glue.cli.shared import (
     WAIT_VARIABLE,
     keys_option,
     legacy_port_option,
-    run,
 )
 from glue.errors import ConfigError
 from glue.hub.config import (
@@ -433,12 +432,3 @@ def _hub_options(options: Options) -> HubOptions:
 def _from_variable(option: str) -> bool:
     """Return whether an option was set by an environment variable."""
     return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
-
-
-def main() -> None:
-    """Run `glue-experiment`."""
-    run(experiment)
-
-
-if __name__ == "__main__":
-    main()

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from glue import __version__
-from glue.cli.shared import run
 from glue.conform.hub.clients import TRANSPORTS, starter
 from glue.conform.hub.rules import Tier
 from glue.console import for_terminal, say
@@ -127,8 +126,3 @@ def conform(
         card.write_text(scorecard(role, command, verdicts), encoding="utf-8")
         say(f"wrote {card}")
     return 0 if all(reached(verdicts).values()) else _FAILED
-
-
-def main() -> None:
-    """Run `glue-conform`."""
-    run(conform)

@@ -35,8 +35,8 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM was received: clean up as for Ctrl-C."""
 
 
-def start(module: str) -> NoReturn:
-    """Import the module of a command and run its `main`, which exits."""
+def start(module: str, name: str) -> NoReturn:
+    """Run the command of this name in a module, which is imported, and exit."""
     handle_signals()
     open_streams()
     # NumPy's threads would spin for 2**26 cycles before they sleep, from its import on, in children too.
@@ -48,8 +48,8 @@ def start(module: str) -> NoReturn:
         message += "your programs import glue_rl first\n"
         os.write(_STDERR, message.encode(errors="replace"))
     try:
-        import_module(module).main()
-        raise AssertionError(f"{module}.main returned")
+        import_module("glue.cli.shared").run(getattr(import_module(module), name))
+        raise AssertionError(f"{name} returned")
     except KeyboardInterrupt as interrupt:
         _leave(signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
     except Exception:

@@ -20,7 +20,11 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "zmq": ["glue/client/libzmq.py"],
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
-    "msgspec": ["experiment_runner/executors/job.py", "experiment_runner/plan/*", "experiment_runner/store/*"],
+    "msgspec": [
+        "experiment_runner/executors/job.py",
+        "experiment_runner/plan/*",
+        "experiment_runner/store/*",
+    ],
     "numba": ["glue/compiled/jit.py", "glue/compiled/threads.py"],
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],
@@ -189,7 +193,7 @@ ours = [point for point in commands if point.name.startswith('glue-')]
 assert len(ours) >= 9, ours
 for point in ours:
     entry = importlib.import_module(point.module)
-    entry.start = importlib.import_module
+    entry.start = lambda module, name: getattr(importlib.import_module(module), name)
     getattr(entry, point.attr)()
 """
     subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT, timeout=120)

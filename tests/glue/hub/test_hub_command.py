@@ -17,7 +17,7 @@ from glue.client.experiment import connect
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import address, address_in, running
 
-PROGRAM: Final = "from glue.cli.hub import main; main()"
+PROGRAM: Final = "from glue_rl.commands import hub; hub()"
 
 SLOW: Final = """
 import time
