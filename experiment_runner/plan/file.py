@@ -36,41 +36,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from msgspec import Meta, Struct
 
 from experiment_runner.plan.limits import BUDGETS, COUNTS
-from experiment_runner.plan.metrics import MOST, metrics_of
+from experiment_runner.plan.metrics import parse_metrics
 from experiment_runner.plan.plan import ROLES, Plan, RoleSweep, Seeds, plain
-from experiment_runner.plan.toml import SettingError, fitted, naming_lines, parse, read, shown
-from experiment_runner.plan.tuning import Range, TunePlan
+from experiment_runner.plan.toml import SettingError, converted, naming_lines, parse, read, shown
+from experiment_runner.plan.tuning import Range, TunePlan, parse_tune
 from glue.options import Value
-
-_Tables = dict[str, dict[str, Any]]
-
-
-def _in(allowed: range) -> Meta:
-    return Meta(ge=allowed[0], le=allowed[-1])
-
-
-class _File(Struct, forbid_unknown_fields=True):
-    """The keys of a plan."""
-
-    episodes: Annotated[int, _in(COUNTS["episodes"])] = 0
-    steps: Annotated[int, _in(COUNTS["steps"])] = 0
-    max_steps: Annotated[int, _in(COUNTS["max_steps"])] = 0
-    trials: Annotated[int, _in(COUNTS["trials"])] = 1
-    seed: Annotated[int, _in(COUNTS["seed"])] = 0
-    seeds: Seeds | None = None
-    inside: tuple[Literal["agent", "env"], ...] = ()
-    metrics_every: Annotated[int, Meta(ge=0, le=MOST)] | None = None
-    metrics: dict[str, int | str] | None = None
-    tune: TunePlan | None = None
-    environments: _Tables = {}
-    agents: _Tables = {}
 
 
 def load_plan(path: Path, seeds: Seeds = "number", *, follow: bool = True) -> Plan:
@@ -94,16 +68,11 @@ def parse_plan(text: str, seeds: Seeds = "number") -> Plan:
     Raises:
         SettingError: it is not TOML, or a key or value does not belong in a plan.
     """
-    file = fitted(parse(text), _File, "a plan")
-    return Plan(
-        **{name: getattr(file, name) for name in COUNTS},
-        environments=_roles("environments", file.environments),
-        agents=_roles("agents", file.agents),
-        seeds=file.seeds or seeds,
-        inside=file.inside,
-        metrics=metrics_of(file.metrics_every, file.metrics),
-        tune=file.tune,
-    )
+    table = {"seeds": seeds, "environments": {}, "agents": {}, **parse(text)}
+    metrics = parse_metrics(table.pop("metrics_every", None), table.get("metrics"))
+    tune = parse_tune(table["tune"]) if "tune" in table else None
+    roles = {role: _roles(role, table[role]) for role in ROLES}
+    return converted(Plan, {**table, **roles, "metrics": metrics, "tune": tune}, "a plan")
 
 
 def dump_plan(plan: Plan) -> str:
@@ -123,19 +92,28 @@ def dump_plan(plan: Plan) -> str:
             lines += ["", f"[{role}.{_toml_key(sweep.label)}]", f"class = {_toml_value(sweep.name)}"]
             lines += [f"{_toml_key(name)} = {_toml_value(value)}" for name, value in sweep.options.items()]
     if plan.tune is not None:
-        names = [name for name in plan.tune.__struct_fields__ if name != "agents"]
-        lines += ["", "[tune]", *(f"{name} = {_toml_value(getattr(plan.tune, name))}" for name in names)]
+        lines += ["", "[tune]", *_lines(plan.tune, "agents")]
         for label, space in plan.tune.agents.items():
             lines += ["", f"[tune.agents.{_toml_key(label)}]"]
             lines += [f"{_toml_key(name)} = {_toml_value(value)}" for name, value in space.items()]
     return "\n".join(lines) + "\n"
 
 
-def _roles(role: str, tables: _Tables) -> tuple[RoleSweep, ...]:
+def _lines(table: Range | TunePlan, *without: str) -> list[str]:
+    """Return a line of TOML for each field of a dataclass."""
+    names = [field.name for field in fields(table) if field.name not in without]
+    return [f"{name} = {_toml_value(getattr(table, name))}" for name in names]
+
+
+def _roles(role: str, tables: object) -> tuple[RoleSweep, ...]:
+    if not isinstance(tables, dict):
+        raise SettingError(f"{role} must be tables, as in: [{role}.NAME]", role)
     return tuple(_role(role, key, table) for key, table in tables.items())
 
 
-def _role(role: str, key: str, table: Mapping[str, Any]) -> RoleSweep:
+def _role(role: str, key: str, table: object) -> RoleSweep:
+    if not isinstance(table, dict):
+        raise SettingError(f"{role}.{key} must be a table, as in: [{role}.{key}]", role, key)
     options = {name: tuple(value) if isinstance(value, list) else value for name, value in table.items()}
     name = options.pop("class", None)
     if name is not None and not isinstance(name, str):
@@ -152,7 +130,7 @@ def _toml_key(key: str) -> str:
 
 def _toml_value(value: Value | tuple[Value, ...] | Range) -> str:
     if isinstance(value, Range):
-        return f"{{{', '.join(f'{n} = {_toml_value(getattr(value, n))}' for n in value.__struct_fields__)}}}"
+        return f"{{{', '.join(_lines(value))}}}"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml_value, value))}]"
     if isinstance(value, str):

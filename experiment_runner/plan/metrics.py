@@ -16,8 +16,7 @@ from typing import Final, NamedTuple
 
 from experiment_runner.plan.toml import SettingError, shown
 
-MOST: Final = 2**31 - 1
-"""Maximum number of steps, or of values, from one value that is kept to the next."""
+_MOST: Final = 2**31
 
 
 class Keep(NamedTuple):
@@ -50,19 +49,28 @@ class MetricsPlan:
         return ", ".join(["recorded " + when, *(f"{name} = {keep}" for name, keep in self.keep.items())])
 
 
-def metrics_of(every: int | None, table: Mapping[str, int | str] | None) -> MetricsPlan | None:
-    """Return the recording of metrics of a plan with these values of its keys; None if it has neither.
+def parse_metrics(every: object, table: object) -> MetricsPlan | None:
+    """Return the recording of metrics that a plan asks for; None if it asks for none.
+
+    Args:
+        every: `metrics_every` of the plan; None without it.
+        table: `metrics` of the plan; None without it.
 
     Raises:
-        SettingError: a value is neither a number nor a mean.
+        SettingError: a value does not belong there.
     """
     if every is None and table is None:
         return None
-    return MetricsPlan(every or 0, {name: _keep(name, value) for name, value in (table or {}).items()})
+    steps = 0 if every is None else every
+    if type(steps) is not int or not 0 <= steps < _MOST:
+        raise SettingError(f"metrics_every must be a number of steps, not {shown(every)}", "metrics_every")
+    if not isinstance(table, dict | None):
+        raise SettingError('metrics must be a table, as in: [metrics], then "mean TD error" = 10', "metrics")
+    return MetricsPlan(steps, {name: _keep(name, value) for name, value in (table or {}).items()})
 
 
-def _keep(name: str, value: int | str) -> Keep:
-    if isinstance(value, int) and 0 < value <= MOST:
+def _keep(name: str, value: object) -> Keep:
+    if type(value) is int and 0 < value < _MOST:
         return Keep(value)
     if isinstance(value, str) and (found := re.fullmatch(r"mean ([1-9][0-9]{0,8})", value)):
         return Keep(int(found[1]), True)

@@ -16,7 +16,9 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
+
+from msgspec import Meta
 
 from experiment_runner.plan.ids import REMOTE, TrialId, label_of
 from experiment_runner.plan.limits import BUDGETS, COUNTS
@@ -32,6 +34,10 @@ ROLES: Final = ("environments", "agents")
 
 Seeds = Literal["number", "id"]
 """The part of a trial from which its seed is derived, with the experiment's seed; `id` before 0.3.0."""
+
+
+def _in(name: str) -> Meta:
+    return Meta(ge=COUNTS[name][0], le=COUNTS[name][-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,15 +170,15 @@ class Plan:
             for an agent that it does not have.
     """
 
-    episodes: int = 0
-    max_steps: int = 0
-    trials: int = 1
-    seed: int = 0
+    episodes: Annotated[int, _in("episodes")] = 0
+    max_steps: Annotated[int, _in("max_steps")] = 0
+    trials: Annotated[int, _in("trials")] = 1
+    seed: Annotated[int, _in("seed")] = 0
     environments: tuple[RoleSweep, ...] = ()
     agents: tuple[RoleSweep, ...] = ()
     seeds: Seeds = "number"
-    inside: tuple[str, ...] = ()
-    steps: int = 0
+    inside: tuple[Literal["agent", "env"], ...] = ()
+    steps: Annotated[int, _in("steps")] = 0
     metrics: MetricsPlan | None = None
     tune: TunePlan | None = None
 

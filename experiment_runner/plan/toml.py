@@ -6,8 +6,9 @@ import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, get_args, get_type_hints
 
 import msgspec
 
@@ -15,22 +16,23 @@ from glue.errors import ExperimentError
 from glue.files import read_regular
 from glue.suggestions import did_you_mean
 
+_T = TypeVar("_T")
+
 _MAX_BYTES: Final = 2**22
 _SHOWN: Final = 80
 """Maximum number of characters of a wrong value in a message."""
 
-
-_T = TypeVar("_T")
-
 _WORDS: Final = {
-    "BoolType": "true or false",
-    "IntType": "a whole number",
-    "FloatType": "a number",
-    "StrType": "a string",
-    **dict.fromkeys(("ListType", "VarTupleType"), "a list"),
-    **dict.fromkeys(("DictType", "StructType", "DataclassType"), "a table"),
+    " | null": "",
+    "Number out of range": "a number in range",
+    "`int`": "a whole number",
+    "`float`": "a number",
+    "`str`": "a string",
+    "`bool`": "true or false",
+    "`array`": "a list",
+    "`object`": "a table",
 }
-"""What a value is called in messages, by the name of msgspec's description of its type."""
+"""What msgspec's messages call the types of a value, and what a user does."""
 
 
 class SettingError(ExperimentError):
@@ -103,112 +105,65 @@ def check_keys(table: Mapping[str, Any], known: Collection[str], what: str, *whe
             raise SettingError(f"{what} has no {key!r:.80}{did_you_mean(key, known)}", *where, key)
 
 
-def fitted(table: object, kind: type[_T], what: str, *where: str) -> _T:
-    """Return a table of a document as a `kind`.
+def converted(
+    kind: type[_T], table: object, what: str, /, *keys: str, base: Path = Path(), **given: object
+) -> _T:
+    """Return a table as a dataclass, whose annotations say what msgspec is to allow.
 
     Args:
-        table: the table; it is of no use after an error.
-        kind: a `msgspec.Struct` that forbids unknown fields, or anything else that msgspec converts to. A
-            ValueError of its `__post_init__` is an error of that table.
-        what: names the table in messages, as in `a plan`.
-        where: its keys, if it is in other tables.
+        kind: the dataclass; every field is a key of the table, except those of `given`.
+        table: the table.
+        what: the table in messages, as in `task easy`.
+        keys: those that lead to the table.
+        base: the folder that relative paths begin at.
+        given: fields that are not the user's.
 
     Raises:
-        SettingError: the table does not fit; the message names the key and what belongs there.
+        SettingError: it is no table, has an unknown key, lacks one, or has a value that is not allowed or a
+            string that is empty or cannot be printed.
     """
+    if not isinstance(table, dict):
+        raise SettingError(f"{'.'.join(keys)} must be a table, as in: [{'.'.join(keys)}]", *keys)
+    check_keys(table, [field.name for field in fields(kind) if field.name not in given], what, *keys)  # type: ignore[arg-type]
+    for key, value in table.items():
+        if isinstance(value, str) and not (value and value.isprintable()):
+            raise SettingError(f"{key} must be a printable string, not {shown(value)}", *keys, key)
     try:
-        return msgspec.convert(table, kind)
+        return msgspec.convert({**table, **given}, kind, dec_hook=lambda _, path: _path_from(base, path))
+    except SettingError as error:
+        raise error.inside(*keys) from None
     except msgspec.ValidationError as error:
-        fault = str(error)
-    except ValueError:  # msgspec would print it
-        raise SettingError(f"{what} has a number of thousands of digits", *where) from None
-    from msgspec import inspect  # slow to import
+        raise _wrong_value(str(error), table, kind, what).inside(*keys) from None
 
-    found = re.fullmatch(r"(.*) - at `\$(.*)`", fault, re.DOTALL)
-    reason, path = found.groups() if found else (fault, "")
-    keys = list(where)
-    name = ""
+
+def _path_from(base: Path, path: object) -> Path:
+    if not isinstance(path, str):
+        raise TypeError("Expected `str`")
+    return base / path
+
+
+def _wrong_value(message: str, table: Mapping[str, Any], kind: type, what: str) -> SettingError:
+    """Return the error for a message of msgspec, such as "Expected `int` >= 2 - at `$.pids`"."""
+    message, _, place = message.partition(" - at `$")
+    path = re.findall(r"\.(\w+)|\[(\d+)\]", place)
+    keys = [key for key, _ in path if key]
+    if "missing required field" in message:
+        return SettingError(f"{what} needs {message.split('`')[1]}", *keys)
     value: Any = table
-    shape = inspect.type_info(kind)
-    for name, index in re.findall(r"\.(\w+)|\[(\d+|\.{3})\]", path):
-        if index == "...":
-            name = _keep_culprit(value, table, kind, fault)
-        if name:
-            keys.append(name)
-        value, shape = value[name or int(index)], _part(shape, name)
-    about = ".".join(keys) or what
-    if field := re.fullmatch(r"Object contains unknown field `(.*)`", reason, re.DOTALL):
-        known = [each.encode_name for one in _kinds(shape) for each in getattr(one, "fields", ())]
-        raise SettingError(f"{about} has no {field[1]!r:.80}{did_you_mean(field[1], known)}", *keys, field[1])
-    if field := re.fullmatch(r"Object missing required field `(.*)`", reason):
-        raise SettingError(f"{about} needs {field[1]}", *keys)
-    if reason.startswith(("Expected", "Invalid enum")):
-        words = dict.fromkeys(map(_described, _kinds(shape)))
-        if "a number" in words:
-            words.pop("a whole number", None)
-        example = f", as in: [{about}]" if [*words] == ["a table"] else ""
-        subject = f"each value of {about}" if path.endswith("]") and not name else about
-        raise SettingError(f"{subject} must be {' or '.join(words)}{example}, not {shown(value)}", *keys)
-    raise SettingError(f"{about}: {reason}", *keys)
+    for key, index in path:
+        value = value[key] if key else value[int(index)]
+    if message.startswith("Invalid enum value"):
+        near = did_you_mean(value, _choices(get_type_hints(kind)[keys[0]]))
+        return SettingError(f"{keys[0]} cannot be {shown(value)}{near}", *keys)
+    expected = message.partition(", got")[0].removeprefix("Expected ")
+    for word, ours in _WORDS.items():
+        expected = expected.replace(word, ours)
+    return SettingError(f"{place[1:-1]} must be {expected}, not {shown(value)}", *keys)
 
 
-def _keep_culprit(inner: dict[str, Any], table: object, kind: object, fault: str) -> str:
-    """Return the key of a value of which msgspec says `fault`, without its key; all others are removed."""
-    values = dict(inner)
-    names = [*values]
-    while len(names) > 1:
-        half, rest = names[: len(names) // 2], names[len(names) // 2 :]
-        inner.clear()
-        inner.update({name: values[name] for name in half})
-        try:
-            msgspec.convert(table, kind)
-            names = rest
-        except ValueError as error:
-            names = half if str(error) == fault else rest
-    inner.clear()
-    inner[names[0]] = values[names[0]]
-    return names[0]
-
-
-def _kinds(shape: Any) -> tuple[Any, ...]:
-    """Return the members of a union, or the only kind; TOML has no null."""
-    kinds = getattr(shape, "types", (shape,))
-    return tuple(one for one in kinds if type(one).__name__ != "NoneType")
-
-
-def _part(shape: Any, name: str) -> Any:
-    """Return the shape of a value of a table, or, without a name, of a list."""
-    for one in _kinds(shape):
-        for field in getattr(one, "fields", ()):
-            if field.encode_name == name:
-                return field.type
-        part = getattr(one, "value_type" if name else "item_type", None)
-        if part is not None:
-            return part
-    raise AssertionError(shape)
-
-
-def _described(kind: Any) -> str:
-    """Return what a value must be, as in `a whole number from 1 to 9`."""
-    if hasattr(kind, "values"):
-        return f"one of {', '.join(kind.values)}"
-    text = _WORDS[type(kind).__name__]
-    low, high = getattr(kind, "ge", None), getattr(kind, "le", None)
-    if low is not None:
-        text += f" of at least {low}" if high is None else f" from {low} to {high}"
-    return f"{text} that is not empty" if getattr(kind, "min_length", None) else text
-
-
-def whole(value: object, allowed: range, what: str, *keys: str) -> int:
-    """Return a value, if it is a whole number from a range.
-
-    Raises:
-        SettingError: it is not.
-    """
-    if type(value) is not int or value not in allowed:
-        span = f"from {allowed[0]} to {allowed[-1]}"
-        raise SettingError(f"{what} must be a whole number {span}, not {shown(value)}", *keys)
-    return value
+def _choices(hint: Any) -> list[str]:
+    """Return the strings of the `Literal` that a type is, or is a list of."""
+    return [one for part in get_args(hint) for one in ([part] if isinstance(part, str) else _choices(part))]
 
 
 def is_option(value: object) -> bool:

@@ -17,17 +17,19 @@ A range of whole numbers has `integer = true`; in a grid, a range has as many va
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta
 
-from experiment_runner.plan.toml import is_option, shown
+from experiment_runner.plan.toml import SettingError, converted, is_option, shown
 from glue.options import Value
 
 _Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 
 
-class Range(Struct, frozen=True, forbid_unknown_fields=True):
+@dataclass(frozen=True, slots=True)
+class Range:
     """The values of an option from `low` to `high`, inclusive.
 
     Args:
@@ -37,7 +39,7 @@ class Range(Struct, frozen=True, forbid_unknown_fields=True):
         points: number of values in a grid.
 
     Raises:
-        ValueError: the ends are in the wrong order, or cannot have logarithms.
+        SettingError: the ends are in the wrong order, or cannot have logarithms.
     """
 
     low: int | float
@@ -49,7 +51,7 @@ class Range(Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         known = is_option(self.low) and is_option(self.high)
         if not (known and self.low < self.high) or (self.log and self.low <= 0):
-            raise ValueError(
+            raise SettingError(
                 f"a range is from low to a greater high{', above 0' if self.log else ''}, "
                 f"not from {shown(self.low)} to {shown(self.high)}"
             )
@@ -64,11 +66,12 @@ class Range(Struct, frozen=True, forbid_unknown_fields=True):
         return round(value) if self.integer else value
 
 
-Space = Mapping[str, Range | Annotated[tuple[Value, ...], Meta(min_length=1)]]
+Space = Mapping[str, Range | tuple[Value, ...]]
 """The values of an agent's options that are searched, by option."""
 
 
-class TunePlan(Struct, frozen=True, forbid_unknown_fields=True):
+@dataclass(frozen=True, slots=True)
+class TunePlan:
     """A search for the options of agents.
 
     Args:
@@ -78,11 +81,45 @@ class TunePlan(Struct, frozen=True, forbid_unknown_fields=True):
         trials: of each configuration.
         final: trials of the chosen configuration, with seeds that the search has not used.
         prune: whether the worse half of the configurations is pruned after a quarter of each trial.
+
+    Raises:
+        SettingError: there are no options to search.
     """
 
-    agents: Annotated[Mapping[str, Space], Meta(min_length=1)]
+    agents: Mapping[str, Space]
     sampler: Literal["random", "grid", "optuna"] = "random"
     configurations: _Count = 20
     trials: _Count = 3
     final: _Count = 10
     prune: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.agents:
+            raise SettingError("tune needs the options to search, as in: [tune.agents.NAME]")
+
+
+def parse_tune(table: Any) -> TunePlan:
+    """Return the search that the table `tune` of a plan describes.
+
+    Raises:
+        SettingError: a key or value does not belong there.
+    """
+    agents = table.get("agents", {}) if isinstance(table, dict) else None
+    if not isinstance(agents, dict) or not all(isinstance(space, dict) for space in agents.values()):
+        where = ("tune", "agents") if agents else ("tune",)
+        raise SettingError("tune has its options in tables, as in: [tune.agents.NAME]", *where)
+    spaces = {
+        label: {name: _values(value, "tune", "agents", label, name) for name, value in space.items()}
+        for label, space in agents.items()
+    }
+    return converted(TunePlan, table | {"agents": spaces}, "tune", "tune")
+
+
+def _values(value: object, *keys: str) -> Range | tuple[Value, ...]:
+    if isinstance(value, dict):
+        return converted(Range, value, ".".join(keys), *keys)
+    if isinstance(value, list) and value and all(map(is_option, value)):
+        return tuple(value)
+    raise SettingError(
+        f"{'.'.join(keys)} is a range such as {{low = 0.01, high = 1.0}}, or a list of values", *keys
+    )

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from experiment_runner.analysis.stats import interquartile_mean
+from experiment_runner.executors.players import BOTH, Placement
 from experiment_runner.executors.run import RunConfig
 from experiment_runner.executors.samplers import Configuration, Score, sampler_of
 from experiment_runner.executors.search import RESULT, SEARCH, tune
-from experiment_runner.meeting.players import BOTH, Meeting
 from experiment_runner.plan.file import dump_plan, parse_plan
 from experiment_runner.plan.plan import Plan
 from experiment_runner.plan.tuning import Range, Space, TunePlan
@@ -45,12 +44,12 @@ learning = true
 
 [agents.random]
 """)
-CONFIG = RunConfig(Meeting(inside=BOTH), checkpoint_every=3)
+CONFIG = RunConfig(Placement(inside=BOTH), checkpoint_every=3)
 
 
 def searching(**changes: object) -> Plan:
     assert PLAN.tune is not None
-    return replace(PLAN, tune=structs.replace(PLAN.tune, **changes))
+    return replace(PLAN, tune=replace(PLAN.tune, **changes))  # type: ignore[arg-type]
 
 
 def chosen(directory: Path) -> dict[str, list[dict[str, object]]]:
@@ -73,7 +72,7 @@ def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
     ("line", "near"),
     [
         ('sampler = "randon"', "random"),
-        ("sampler = 3", "one of grid, optuna, random, not 3"),
+        ("sampler = 3", "sampler must be a string, not 3"),
         ("trials = 0x" + 5000 * "f", "trials .* not a number of thousands of digits"),
         ("trails = 3", "trials"),
         ("trials = 0", "trials"),
@@ -85,7 +84,7 @@ def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
             "from a number of thousands",
         ),
         ("[tune.agents.sarsa]\nstep_size = {lo = 0.1, high = 0.2}", "low"),
-        ("[tune.agents.sarsa]\nstep_size = 3", "a table or a list"),
+        ("[tune.agents.sarsa]\nstep_size = 3", "range"),
     ],
 )
 def test_a_wrong_search_is_refused_with_the_near_miss(line: str, near: str) -> None:
@@ -178,8 +177,7 @@ def test_values_are_within_their_ranges(sampler: str) -> None:
         "size": Range(1, 64, log=True, integer=True),
         "kind": ("a", "b"),
     }
-    search = TunePlan({"agent": space}, configurations=60)
-    search = structs.replace(search, sampler=sampler)
+    search = replace(TunePlan({"agent": space}, configurations=60), sampler=sampler)  # type: ignore[arg-type]
     asking = sampler_of(search, space, seed=3)
     found: list[Configuration] = []
     while len(found) < 40 and (batch := asking.ask(60 - len(found))):
