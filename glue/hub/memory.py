@@ -36,6 +36,7 @@ class Memory:
     def __init__(self, limit: int) -> None:
         self.exceeded: bool = False
         self._limit = limit
+        self._wanted = 0  # bytes for which `make_room` found no room
         self.total: int = 0
         self.held: dict[Holder, int] = {}
 
@@ -44,15 +45,22 @@ class Memory:
         self.total += size - self.held.pop(holder, 0)
         if size:
             self.held[holder] = size
-        self.exceeded = self.total > self._limit
+        self.exceeded = self.total + self._wanted > self._limit
 
     def has_room(self, size: int) -> bool:
         """Return whether `size` more bytes are within the limit."""
         return self.total + size <= self._limit
 
+    def make_room(self, size: int) -> bool:
+        """Return whether `size` more bytes are within the limit; if not, let `relieve` make room for them."""
+        if not self.has_room(size):
+            self._wanted = max(self._wanted, size)
+            self.exceeded = True
+        return not self.exceeded
+
     def relieve(self) -> None:
-        """Evict the largest holders until the total is within the limit; callers must not use them again."""
-        while self.exceeded:
+        """Evict the largest holders until there is room; callers must not use them again."""
+        while self.exceeded and self.held:
             largest = max(
                 self.held,
                 key=lambda known: (self.held[known] > _SMALL and not known.seated, self.held[known]),
@@ -63,3 +71,4 @@ class Memory:
                 f"it used {held / 2**20:.0f} MiB, more than any other, when the hub reached its limit of "
                 f"{self._limit / 2**20:.0f} MiB (max_memory)"
             )
+        self._wanted = 0

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 MAX_OBSERVERS: Final = 8
 """Maximum number of observers of one session."""
 
-_COPIES: Final = 3
-"""Maximum number of copies of a message that exist while it is sent, the encrypted ones included."""
+_COPIES: Final = 2
+"""Maximum number of copies of a message that exist while it is sent, the encrypted one included."""
 
 
 @dataclass(slots=True)

@@ -88,12 +88,16 @@ class _Channel:
         kind = message[0]
         if connection.unsent and kind in OBSERVING:
             return False  # an observer that has not read the previous messages misses this one
-        head, data = self._stream.encode(message)
-        if len(data) > _MAX_COPIED:
+        size = len(message[4])
+        if size > _MAX_COPIED and self._stream.copies and not self._switchboard.memory.make_room(size):
+            return False
+        data, body = self._stream.encode(message)
+        if len(body) > _MAX_COPIED:
             self.send_joined()
-            connection.send(head)
-        else:
-            data = head + data
+            connection.send(data)
+            data = body
+        elif body:
+            data += body
         joined = self._channels.joined
         if kind not in STEPS:
             self.send_joined()
@@ -278,7 +282,7 @@ class Channels:
     ) -> None:
         self.loop = loop
         self.switchboard = switchboard
-        self.joined: dict[_Channel, list[bytes]] | None = None
+        self.joined: dict[_Channel, list[bytes | bytearray]] | None = None
         self._config = config
         self._log = log
         self._complaint = ""

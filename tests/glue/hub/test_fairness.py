@@ -281,3 +281,13 @@ def test_who_takes_part_in_no_session_and_holds_much_is_evicted_first() -> None:
     seated, newcomer = Holding(memory, 2**20, True), Holding(memory, 2**17, False)
     memory.relieve()
     assert (seated.evicted, newcomer.evicted) == (False, True)
+
+
+def test_room_is_made_for_a_message_that_did_not_fit() -> None:
+    memory = Memory(2**20)
+    largest, other = Holding(memory, 2**19, True), Holding(memory, 2**18, True)
+    assert memory.make_room(2**18)
+    assert not memory.make_room(2**18 + 1)
+    memory.relieve()
+    assert (largest.evicted, other.evicted) == (True, False)
+    assert memory.make_room(2**18 + 1)
