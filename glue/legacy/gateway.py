@@ -27,7 +27,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
-from glue.doors import network
 from glue.errors import RemoteProtocolError
 from glue.hub.config import LegacyPort
 from glue.hub.io.connection import Connection
@@ -46,6 +45,7 @@ from glue.legacy.codec import (
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.peers import LegacyPlayer
 from glue.legacy.pending import Pending
+from glue.system import network
 from glue.wire.messages import Kind, Role
 
 _ROLES: Final[Mapping[Kind | Control, Role]] = {

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from glue.doors import chance, clock
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.hub.config import LegacyPort
 from glue.hub.io.connection import Connection
@@ -24,6 +23,7 @@ from glue.legacy.codec import (
 )
 from glue.legacy.pending import Pending
 from glue.legacy.states import PLAYER, PlayerEvent, PlayerState
+from glue.system import chance, clock
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 _BASE: Final = 8192

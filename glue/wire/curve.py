@@ -31,8 +31,8 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from glue.doors import chance
 from glue.errors import ConfigError, RemoteProtocolError
+from glue.system import chance
 from glue.wire.frames import LONG, LONG_HEAD, MAX_SHORT, MORE, SHORT_HEAD
 from glue.wire.zmtp import HandshakeRefused
 

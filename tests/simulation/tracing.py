@@ -13,10 +13,10 @@ from greenlet import getcurrent
 
 from glue.client.answers import ServedPlayer
 from glue.client.experiment import connect
-from glue.doors import clock
 from glue.errors import PeerLost
 from glue.hub.session import Session
 from glue.hub.sessions import Switchboard
+from glue.system import clock
 from glue.wire.messages import Kind, Message, Role
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.simulation.faults import Fault

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from glue.doors import clock, network
 from glue.errors import RemoteProtocolError
 from glue.hub.config import Bind, HubConfig
 from glue.hub.io.connection import Connection, take_leave
@@ -25,6 +24,7 @@ from glue.hub.keys import Keys
 from glue.hub.peer import Route
 from glue.hub.sessions import Switchboard
 from glue.sockets.options import limit_silence
+from glue.system import clock, network
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
 from glue.wire.limits import MAX_HEADER

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Final, Protocol
 
-from glue.doors import clock, network
 from glue.hub.io.loop import FAILURE, READ, WRITE, Events, Loop
 from glue.sockets.options import probe_when_silent
+from glue.system import clock, network
 
 _CHUNK: Final = 65_536
 """Maximum bytes to read at once; a larger buffer costs a system call, even if the message is short."""

@@ -16,12 +16,12 @@ from collections.abc import Mapping
 
 from glue.client.answers import ServedPlayer
 from glue.console import show_failure
-from glue.doors import chance, clock
 from glue.errors import GlueError, described
 from glue.hub.config import DEFAULT_SESSION
 from glue.hub.io.server import Hub
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.roles import AgentLike, EnvironmentLike
+from glue.system import chance, clock
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 

@@ -14,8 +14,6 @@ from contextlib import ExitStack, contextmanager
 from typing import Final
 
 from glue.closing import Closing
-from glue.doors import clock as door
-from glue.doors import threads
 from glue.errors import GlueError
 from glue.hub.config import HubConfig
 from glue.hub.io.channels import Channels
@@ -24,6 +22,8 @@ from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
 from glue.hub.keys import Keys
 from glue.hub.sessions import Switchboard
+from glue.system import clock as system_clock
+from glue.system import threads
 
 _NONE: Final[Mapping[str, OpenAddress]] = {}
 
@@ -69,7 +69,7 @@ class Hub(Closing):
             self.endpoints: list[str] = [address.endpoint for _, address in addresses]
             self.loop: Loop = Loop(config.heartbeat, self.log.error)
             closing.callback(self.loop.close)
-            self.switchboard: Switchboard = Switchboard(config, self.log, clock or door.monotonic)
+            self.switchboard: Switchboard = Switchboard(config, self.log, clock or system_clock.monotonic)
             self._channels = Channels(self.loop, config, addresses, self.switchboard, self.log)
             closing.callback(self._channels.close)
             self._closing = closing.pop_all()

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.doors import network
 from glue.errors import ConfigError, GlueError, HubClosed
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.listener import open_address
@@ -18,6 +17,7 @@ from glue.hub.io.server import Hub
 from glue.hub.peer import Route
 from glue.hub.sessions import Switchboard
 from glue.legacy.gateway import Gateway
+from glue.system import network
 from glue.types import Action, Observation
 from glue.wire import zmtp
 from glue.wire.messages import Kind, Message

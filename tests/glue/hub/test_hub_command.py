@@ -21,7 +21,7 @@ PROGRAM: Final = "from glue.cli.hub import main; main()"
 
 SLOW: Final = """
 import time
-from glue.doors import threads
+from glue.system import threads
 
 class Slow(threads.Thread):
     def start(self):

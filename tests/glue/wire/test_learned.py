@@ -14,8 +14,8 @@ from random import Random
 
 import pytest
 
-from glue.doors import chance
 from glue.errors import RemoteProtocolError
+from glue.system import chance
 from glue.types import CUT_OFF
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, encode
