@@ -1,7 +1,7 @@
 """Original RL-Glue programs as peers of the hub: listeners in the hub's own loop.
 
 To a session an original program is a peer like any other. Its frames are translated into messages to the
-switchboard, and the switchboard's messages are translated into frames, one at a time:
+sessions, and the sessions's messages are translated into frames, one at a time:
 
 - A player, that is an agent or environment, is sent a call only after it has answered the previous one, even
   if that answer is no longer needed: a Java program loses a frame that arrives together with another.
