@@ -83,18 +83,18 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
 }
 """Files that may import a module, or use a name. All other code uses it through these files."""
 
-DOORS: Final[Mapping[str, Sequence[str]]] = {
-    "time": ["glue/doors/clock.py"],
-    "os.sched_yield": ["glue/doors/clock.py"],
-    "socket": ["glue/doors/network.py"],
-    "select": ["glue/doors/network.py"],
-    "selectors": ["glue/doors/network.py"],
-    "secrets": ["glue/doors/chance.py"],
-    "os.urandom": ["glue/doors/chance.py"],
+SYSTEM: Final[Mapping[str, Sequence[str]]] = {
+    "time": ["glue/system/clock.py"],
+    "os.sched_yield": ["glue/system/clock.py"],
+    "socket": ["glue/system/network.py"],
+    "select": ["glue/system/network.py"],
+    "selectors": ["glue/system/network.py"],
+    "secrets": ["glue/system/chance.py"],
+    "os.urandom": ["glue/system/chance.py"],
     # The other is a thread that watches for signals during compilation, which a simulation does not do.
-    "threading": ["glue/doors/threads.py", "glue/compiled/jit.py"],
+    "threading": ["glue/system/threads.py", "glue/compiled/jit.py"],
 }
-"""The files of `glue` that may use these: tests/simulation replaces the doors."""
+"""The files of `glue` that may use these: tests/simulation replaces those of glue/system."""
 
 PURE: Final = ("glue", "glue/engine", "glue/hub", "glue/wire", "glue/taskspec", "glue/trajectory")
 """Folders that use no sockets, clocks or threads."""
@@ -102,7 +102,7 @@ PURE: Final = ("glue", "glue/engine", "glue/hub", "glue/wire", "glue/taskspec", 
 IMPURE: Final[Mapping[str, Sequence[str]]] = dict.fromkeys(
     (
         *("asyncio", "select", "signal", "socket", "subprocess", "threading", "time", "zmq"),
-        *("glue.doors.clock", "glue.doors.network", "glue.doors.threads"),
+        *("glue.system.clock", "glue.system.network", "glue.system.threads"),
     ),
     NOWHERE,
 )
@@ -124,7 +124,7 @@ def test_what_has_a_home_is_used_there_alone() -> None:
 
 
 def test_glue_asks_the_system_for_time_network_and_chance_at_one_door_each() -> None:
-    assert strays(DOORS, *(name for name in MAY_IMPORT if name.split("/")[0] == "glue")) == []
+    assert strays(SYSTEM, *(name for name in MAY_IMPORT if name.split("/")[0] == "glue")) == []
 
 
 def test_rules_without_io_see_no_sockets_clocks_or_threads() -> None:
