@@ -17,7 +17,6 @@ from experiment_runner.cli.planning import own_directory
 from experiment_runner.executors.settings import Backend
 from experiment_runner.plan.plan import RoleSpec
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
@@ -230,12 +229,3 @@ def verify(path: Path) -> int:
 
 def _distinct(values: tuple[_T, ...]) -> tuple[_T, ...]:
     return tuple(dict.fromkeys(values))
-
-
-def main() -> None:
-    """Run `glue-generalise`."""
-    run(generalise)
-
-
-if __name__ == "__main__":
-    main()
