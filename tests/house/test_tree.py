@@ -30,7 +30,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],
     "click": ["*/cli/*", "glue/plugins/naming.py"],
-    "matplotlib": ["experiment_runner/report/*", "experiment_runner/study/paper/figures.py"],
+    "matplotlib": ["experiment_runner/report/*", "experiment_runner/study/paper/report.py"],
     "PIL": ["env_server/render/*"],
     "imageio_ffmpeg": ["env_server/render/*"],
     "sqlite3": ["experiment_runner/store/*"],

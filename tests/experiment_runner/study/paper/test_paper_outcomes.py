@@ -10,8 +10,8 @@ from experiment_runner.executors.opening import create_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, PaperLevel, plan_of
-from experiment_runner.study.paper.figures import figures
 from experiment_runner.study.paper.outcomes import LevelResults, load
+from experiment_runner.study.paper.report import figures
 from glue.errors import ExperimentError
 
 FloatArray = npt.NDArray[np.float64]
