@@ -20,22 +20,13 @@ from pathlib import Path
 from typing import Final
 
 from experiment_runner.competition.course import Course, course_of
-from experiment_runner.competition.match import (
-    MODULE,
-    REPORTS,
-    Forfeited,
-    Match,
-    Played,
-    Report,
-    starter_for,
-)
-from experiment_runner.competition.outside import gate_for
+from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Played, Report
 from experiment_runner.competition.records.journal import ADD, ENTER, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
 from experiment_runner.competition.records.seal import add_trials, broken, record_outcome, seal
-from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
-from experiment_runner.competition.starting import name_of_run
+from experiment_runner.competition.starters import gate_for, name_of_run, starter_for
+from experiment_runner.competition.trials import trials
 from experiment_runner.executors.dispatch import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Recorded

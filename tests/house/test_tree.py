@@ -74,7 +74,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "*/cli/*",
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
-            "experiment_runner/competition/programs.py",  # passes it on
+            "experiment_runner/competition/starters.py",  # passes it on
             "experiment_runner/meeting/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
             "glue/conform/hub/clients.py",  # passes it on

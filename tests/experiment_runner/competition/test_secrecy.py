@@ -13,9 +13,9 @@ import pytest
 
 from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import Forfeited
-from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Limits
-from experiment_runner.competition.starting import Launch, variables
+from experiment_runner.competition.starters import Launch, variables
+from experiment_runner.competition.trials import trials
 from experiment_runner.executors.job import Ended
 from glue.engine.engine import role_seed
 from glue.options import Option

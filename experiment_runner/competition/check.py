@@ -10,16 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.competition.match import (
-    MODULE,
-    REPORTS,
-    Forfeited,
-    Match,
-    starter_for,
-)
-from experiment_runner.competition.secret import public_trial
+from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match
 from experiment_runner.competition.settings import Competition, Entrant
-from experiment_runner.competition.starting import name_of_run
+from experiment_runner.competition.starters import name_of_run, starter_for
+from experiment_runner.competition.trials import public_trial
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.local import LocalExecutor
 from experiment_runner.store.database import reported

@@ -1,6 +1,6 @@
 """Run a trusted entrant's program: keep a bounded log of its output, and end the program with its organiser.
 
-    python -P -m experiment_runner.competition.keeper LOG SIZE PROGRAM ARGUMENTS...
+    python -P -m experiment_runner.competition.supervisor LOG SIZE PROGRAM ARGUMENTS...
 
 When the organiser ends, or closes our standard input, the program and its process group are ended. This
 process ends as the program did: with its status, or by the same signal.
@@ -22,7 +22,7 @@ from typing import BinaryIO, Final
 from experiment_runner.meeting.watchdog import watch_parent
 from glue.files import create_regular
 
-MODULE: Final = "experiment_runner.competition.keeper"
+MODULE: Final = "experiment_runner.competition.supervisor"
 
 CANNOT_START: Final = 127
 """Exit status if there is no such program, as in a shell."""
