@@ -72,8 +72,8 @@ def compete() -> None:
 )
 def check(file: Path, out: Path) -> int:
     """Let every entrant play 3 episodes of each task on a public level, and report to its owner."""
-    from experiment_runner.competition.trials import read_secret
     from experiment_runner.competition.check import check_entrants
+    from experiment_runner.competition.trials import read_secret
 
     competition = _load(file)
     try:
@@ -114,9 +114,9 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     """Let every entrant play every task. After an interruption, the same command plays the rest."""
     from experiment_runner.competition.course import course_of
     from experiment_runner.competition.organiser import hold, open_competition
-    from experiment_runner.competition.trials import read_secret
     from experiment_runner.competition.settings import Gate
-    from experiment_runner.executors.resume import kept_if_begun
+    from experiment_runner.competition.trials import read_secret
+    from experiment_runner.executors.opening import kept_if_begun
 
     if view:
         check_view()

@@ -15,7 +15,7 @@ from experiment_runner.competition.settings import Competition, Entrant
 from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.trials import public_trial
 from experiment_runner.executors.job import Ended, Lost, Recorded
-from experiment_runner.executors.local import LocalExecutor
+from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import write_flushed
 from experiment_runner.store.lock import LOCK_FILE, RunLock

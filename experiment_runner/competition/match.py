@@ -1,8 +1,8 @@
 """One entrant plays one trial of a task, in a worker process with its own hub.
 
-Workers are forked, see `experiment_runner.meeting.warm` and `experiment_runner.executors.local`. Environment
-and hub are in this process; the entrant's program, which the starter starts, can reach only the socket that
-it is launched with.
+Workers are forked, see `experiment_runner.processes.warm` and `experiment_runner.executors.workers`.
+Environment and hub are in this process; the entrant's program, which the starter starts, can reach only the
+socket that it is launched with.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from experiment_runner.competition.starters import Launch, Running, Starter, gat
 from experiment_runner.competition.trials import agent_seed
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended, Lost, Recorded, decode
-from experiment_runner.executors.local import serve
-from experiment_runner.meeting.scratch import SOCKET as SHARED
-from experiment_runner.meeting.scratch import scratch_folder
+from experiment_runner.executors.workers import serve
 from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.processes.scratch import SOCKET as SHARED
+from experiment_runner.processes.scratch import scratch_folder
 from experiment_runner.store.database import reported
 from glue.client.experiment import RemoteExperiment, connect_over
 from glue.console import one_line

@@ -56,14 +56,14 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "agents/ppo.py",
         "agents/soar/*",
         "experiment_runner/competition/containers.py",
-        "experiment_runner/meeting/children.py",
-        "experiment_runner/meeting/hints.py",
+        "experiment_runner/processes/children.py",
+        "experiment_runner/executors/hints.py",
         "experiment_runner/plan/provenance.py",
         "experiment_runner/report/progress.py",
         "experiment_runner/view/starting.py",
         "experiment_runner/slurm/batch.py",
         "experiment_runner/study/generalisation/imitation.py",
-        "glue/conform/hub/mirror.py",
+        "glue/conform/clients/mirror.py",
         "glue/plugins/naming.py",
         "glue/rlglue/package.py",
     ],
@@ -75,9 +75,9 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
             "experiment_runner/competition/starters.py",  # passes it on
-            "experiment_runner/meeting/children.py",  # PYTHONBREAKPOINT
+            "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
-            "glue/conform/hub/clients.py",  # passes it on
+            "glue/conform/clients/process.py",  # passes it on
         ),
     ),
 }
