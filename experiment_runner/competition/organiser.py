@@ -23,7 +23,7 @@ from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Played, Report
 from experiment_runner.competition.records.journal import ADD, ENTER, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
-from experiment_runner.competition.records.seal import add_trials, broken, record_outcome, seal
+from experiment_runner.competition.records.seal import add_trials, check_seal, record_outcome, seal
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
 from experiment_runner.competition.starters import gate_for, name_of_run, starter_for
 from experiment_runner.competition.trials import trials
@@ -95,10 +95,8 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
         if played != list(recorded.values()) or any(_planned(spec, course) for spec in new):
             why = _difference(list(recorded.values()), specs)
             raise ExperimentError(f"{directory} is the run of another competition: {why}")
-        if seal(store) and (changed := broken(store)):
-            raise ExperimentError(
-                f"{changed} in {directory} were changed since they were written: put them back"
-            )
+        seal(store)
+        check_seal(store)
         if new:
             add_trials(store, new)
         store.record_event("resume" if exists else "start", program())

@@ -45,7 +45,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "stable_baselines3": ["glue/gym/sb3.py"],
     "torch": ["agents/ppo.py", "experiment_runner/study/generalisation/imitation.py"],
     "starlette": ["experiment_runner/view/*"],
-    "uvicorn": ["experiment_runner/view/server.py", "experiment_runner/view/connections.py"],
+    "uvicorn": ["experiment_runner/view/server.py"],
     # Peers and files are not trusted.
     **dict.fromkeys(("pickle", "marshal", "shelve", "eval()", "exec()", "compile()"), NOWHERE),
     # Every random choice comes from a generator that was handed over.
@@ -60,7 +60,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "experiment_runner/executors/hints.py",
         "experiment_runner/plan/provenance.py",
         "experiment_runner/report/progress.py",
-        "experiment_runner/view/starting.py",
+        "experiment_runner/view/launch.py",
         "experiment_runner/slurm/batch.py",
         "experiment_runner/study/generalisation/imitation.py",
         "glue/conform/clients/mirror.py",

@@ -21,7 +21,7 @@ from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.competition.course import Course
 from experiment_runner.competition.records.journal import ENTER, Act
 from experiment_runner.competition.records.record import digest, record_path
-from experiment_runner.competition.records.seal import broken
+from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.store.layout import ABOUT_FILE
 from experiment_runner.store.records import EpisodeResult
@@ -138,11 +138,7 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
     Raises:
         ExperimentError: the run cannot be read, or was changed since it was sealed.
     """
-    if changed := broken(results):
-        raise ExperimentError(
-            f"{changed} were changed since they were written: put them back in {results.directory}, or try "
-            f"glue-compete verify {results.directory}"
-        )
+    check_seal(results)
     tasks = tuple(task.name for task in course.competition.tasks)
     excluded = course.excluded
     judged: dict[str, list[_Judged]] = {name: [] for name in course.entrants}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
@@ -32,6 +32,7 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 from glue.files import MOST_TEXT, read_regular
+from glue.keys.certificates import KeyPair, encode
 
 _MOST_BYTES: Final = 2**24
 _TRIES: Final = 3
@@ -47,38 +48,31 @@ def seal(store: Store) -> bool:
     return sealed
 
 
+# The new digest is written before what it is of, and the old one is kept with it: a process that is killed
+# between the two leaves a valid seal.
+
+
 def record_acts(store: Store, acts: Sequence[Act]) -> None:
-    """Append acts to the journal, and renew the seal as `record_outcome` does."""
+    """Renew the seal, and append acts to the journal."""
     added = journal.content(store.directory) + journal.text_of(acts).encode()
     _renew(store, _played(store, acts=added))
     journal.append(store.directory, acts)
 
 
 def add_trials(store: Store, specs: Sequence[TrialSpec]) -> None:
-    """Store further trials, for which acts of the journal call, and renew the seal in the same way."""
+    """Renew the seal, and store further trials, for which acts of the journal call."""
     _renew(store, _played(store, specs=specs))
     store.extend(specs)
 
 
 def record_outcome(store: Store, trial_id: str, outcome: TrialEnd) -> None:
-    """Store how a trial ended, and renew the seal.
-
-    The new digest is written before the outcome, and the old one is kept with it: a process that is killed
-    between the two leaves a valid seal.
-    """
-    _renew(store, _played(store, {trial_id: outcome}))
+    """Renew the seal, and store how a trial ended."""
+    _renew(store, _played(store, outcomes={trial_id: outcome}))
     store.record_outcome(trial_id, outcome)
 
 
-def _renew(store: Store, digest: str) -> None:
-    """Replace the digest of what was played, keeping the present one beside it."""
-    found = _read(store.directory)
-    found["played"] = [_played(store), digest]
-    _write(store.directory, found)
-
-
 def record_verdict(store: Store, trial_id: str, verdict: ReplayVerdict) -> None:
-    """Store the result of replaying a trial, and renew the seal in the same way."""
+    """Renew the seal, and store the result of replaying a trial."""
     found = _read(store.directory)
     digests = [_verified(store, trial_id, one) for one in (store.verdicts().get(trial_id), verdict) if one]
     if found["verified"].get(trial_id, [])[-1:] != digests[-1:]:
@@ -87,16 +81,8 @@ def record_verdict(store: Store, trial_id: str, verdict: ReplayVerdict) -> None:
     store.record_verdict(trial_id, verdict)
 
 
-def sign(directory: Path, key: str, signed: Callable[[bytes], bytes]) -> None:
-    """Sign the seal of a competition.
-
-    Args:
-        directory: of the run.
-        key: the public key, as text.
-        signed: returns the signature of a message.
-    """
-    found = _read(directory)
-    _write(directory, found | {"key": key, "signature": signed(_message(found)).hex()})
+def _renew(store: Store, digest: str) -> None:
+    _write(store.directory, {**_read(store.directory), "played": [_played(store), digest]})
 
 
 def broken(results: Results) -> str:
@@ -121,17 +107,48 @@ def broken(results: Results) -> str:
     return ""
 
 
-def signed_message(directory: Path) -> tuple[bytes, bytes]:
-    """Return the signed message of a seal, and its signature.
+def check_seal(results: Results) -> None:
+    """Check that nothing was changed since it was sealed.
 
     Raises:
-        ExperimentError: the seal cannot be read, or has no signature.
+        ExperimentError: something was, or the seal cannot be read.
     """
+    if changed := broken(results):
+        raise ExperimentError(
+            f"{changed} were changed since they were written: put them back in {results.directory}, or try "
+            f"glue-compete verify {results.directory}"
+        )
+
+
+def sign(directory: Path, pair: KeyPair) -> None:
+    """Sign the seal of a competition.
+
+    Raises:
+        ConfigError: PyNaCl is not installed.
+    """
+    from glue.keys import signing
+
+    found = _read(directory)
+    signature = signing.sign(pair.secret, _message(found))
+    _write(directory, found | {"key": encode(pair.public), "signature": signature.hex()})
+
+
+def check_signature(directory: Path, public: bytes) -> None:
+    """Check that a competition was signed with the pair of a public key, and has not changed since.
+
+    Raises:
+        ConfigError: PyNaCl is not installed.
+        ExperimentError: it was not, or the seal cannot be read or has no signature.
+    """
+    from glue.keys.signing import is_signed
+
     found = _read(directory)
     try:
-        return _message(found), bytes.fromhex(found["signature"])
+        signature = bytes.fromhex(found["signature"])
     except (KeyError, TypeError, ValueError):
         raise ExperimentError(f"{directory} is not signed: glue-compete verify can sign it") from None
+    if not is_signed(public, _message(found), signature):
+        raise ExperimentError(f"{directory} was not signed with {encode(public)}, or was changed since")
 
 
 def _message(found: dict[str, Any]) -> bytes:
@@ -141,13 +158,16 @@ def _message(found: dict[str, Any]) -> bytes:
 
 def _played(
     results: Results,
+    *,
     outcomes: Mapping[str, TrialEnd] = MappingProxyType({}),
     specs: Sequence[TrialSpec] = (),
     acts: bytes | None = None,
 ) -> str:
     """Return the digest of what was played, with more outcomes, more trials, or another journal."""
-    files = [_content(results.directory / name) for name in _FILES]
-    if acts := journal.content(results.directory) if acts is None else acts:  # version 0.3 had no journal
+    directory = results.directory
+    with reported(f"cannot read {directory}"):
+        files = [read_regular(directory / name, MOST_TEXT) for name in _FILES]
+    if acts := journal.content(directory) if acts is None else acts:  # version 0.3 had no journal
         files.append(acts)
     ended = {**results.outcomes(), **outcomes}
     return _digest(
@@ -170,11 +190,6 @@ def _digest(*parts: object) -> str:
     for chunk in json.JSONEncoder(sort_keys=True).iterencode(parts):
         whole.update(chunk.encode())
     return whole.hexdigest()
-
-
-def _content(path: Path) -> bytes:
-    with reported(f"cannot read {path}"):
-        return read_regular(path, MOST_TEXT)
 
 
 def _read(directory: Path) -> dict[str, Any]:
