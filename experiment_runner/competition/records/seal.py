@@ -14,7 +14,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Annotated, Final
+
+import msgspec
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act
@@ -36,7 +38,18 @@ from glue.keys.certificates import KeyPair, encode
 
 _MOST_BYTES: Final = 2**24
 _TRIES: Final = 3
-_FILES: Final = (COMPETITION_FILE, ABOUT_FILE)
+
+_Digests = Annotated[list[str], msgspec.Meta(min_length=1)]
+"""The digest of something, after the one before its last change, if that is known."""
+
+
+class _Seal(msgspec.Struct, omit_defaults=True):
+    """A seal, its public key and the signature by it, if it was signed."""
+
+    played: _Digests
+    verified: dict[str, _Digests]
+    key: str = ""
+    signature: str = ""
 
 
 def seal(store: Store) -> bool:
@@ -44,7 +57,7 @@ def seal(store: Store) -> bool:
     sealed = (store.directory / SEAL_FILE).exists()
     if not sealed:
         verified = {name: [_verified(store, name, verdict)] for name, verdict in store.verdicts().items()}
-        _write(store.directory, {"played": [_played(store)], "verified": verified})
+        _write(store.directory, _Seal([_played(store)], verified))
     return sealed
 
 
@@ -75,14 +88,16 @@ def record_verdict(store: Store, trial_id: str, verdict: ReplayVerdict) -> None:
     """Renew the seal, and store the result of replaying a trial."""
     found = _read(store.directory)
     digests = [_verified(store, trial_id, one) for one in (store.verdicts().get(trial_id), verdict) if one]
-    if found["verified"].get(trial_id, [])[-1:] != digests[-1:]:
-        found["verified"][trial_id] = digests
+    if found.verified.get(trial_id, [])[-1:] != digests[-1:]:
+        found.verified[trial_id] = digests
         _write(store.directory, found)
     store.record_verdict(trial_id, verdict)
 
 
 def _renew(store: Store, digest: str) -> None:
-    _write(store.directory, {**_read(store.directory), "played": [_played(store), digest]})
+    found = _read(store.directory)
+    found.played = [_played(store), digest]
+    _write(store.directory, found)
 
 
 def broken(results: Results) -> str:
@@ -97,12 +112,12 @@ def broken(results: Results) -> str:
     verdicts = results.verdicts()
     # While a competition is held, an outcome may be stored between reading the seal and the database.
     for found in (_read(directory) for _ in range(_TRIES)):
-        if _played(results) in found["played"]:
+        if _played(results) in found.played:
             break
     else:
         return f"{COMPETITION_FILE}, {ABOUT_FILE}, {JOURNAL_FILE}, the trials or their outcomes"
     for name, verdict in verdicts.items():
-        if _verified(results, name, verdict) not in found["verified"].get(name, ()):
+        if _verified(results, name, verdict) not in found.verified.get(name, ()):
             return f"the verdict or the episodes of {name}"
     return ""
 
@@ -129,8 +144,8 @@ def sign(directory: Path, pair: KeyPair) -> None:
     from glue.keys import signing
 
     found = _read(directory)
-    signature = signing.sign(pair.secret, _message(found))
-    _write(directory, found | {"key": encode(pair.public), "signature": signature.hex()})
+    found.key, found.signature = encode(pair.public), signing.sign(pair.secret, _message(found)).hex()
+    _write(directory, found)
 
 
 def check_signature(directory: Path, public: bytes) -> None:
@@ -144,16 +159,18 @@ def check_signature(directory: Path, public: bytes) -> None:
 
     found = _read(directory)
     try:
-        signature = bytes.fromhex(found["signature"])
-    except (KeyError, TypeError, ValueError):
-        raise ExperimentError(f"{directory} is not signed: glue-compete verify can sign it") from None
+        signature = bytes.fromhex(found.signature)
+    except ValueError:
+        signature = b""
+    if not signature:
+        raise ExperimentError(f"{directory} is not signed: glue-compete verify can sign it")
     if not is_signed(public, _message(found), signature):
         raise ExperimentError(f"{directory} was not signed with {encode(public)}, or was changed since")
 
 
-def _message(found: dict[str, Any]) -> bytes:
-    last = {name: digests[-1] for name, digests in found["verified"].items()}
-    return b"glue-compete seal 1\n" + _digest(found["played"][-1], last).encode()
+def _message(found: _Seal) -> bytes:
+    last = {name: digests[-1] for name, digests in found.verified.items()}
+    return b"glue-compete seal 1\n" + _digest(found.played[-1], last).encode()
 
 
 def _played(
@@ -166,7 +183,7 @@ def _played(
     """Return the digest of what was played, with more outcomes, more trials, or another journal."""
     directory = results.directory
     with reported(f"cannot read {directory}"):
-        files = [read_regular(directory / name, MOST_TEXT) for name in _FILES]
+        files = [read_regular(directory / name, MOST_TEXT) for name in (COMPETITION_FILE, ABOUT_FILE)]
     if acts := journal.content(directory) if acts is None else acts:  # version 0.3 had no journal
         files.append(acts)
     ended = {**results.outcomes(), **outcomes}
@@ -192,20 +209,14 @@ def _digest(*parts: object) -> str:
     return whole.hexdigest()
 
 
-def _read(directory: Path) -> dict[str, Any]:
-    """Return the seal; its digests are lists, newest last."""
+def _read(directory: Path) -> _Seal:
     path = directory / SEAL_FILE
     try:
-        found = json.loads(read_regular(path, _MOST_BYTES))
-        parts = [found["played"], *found["verified"].values()]
-        if all(
-            isinstance(part, list) and part and all(isinstance(one, str) for one in part) for part in parts
-        ):
-            return dict(found)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        pass
-    raise ExperimentError(f"{path} is not a seal: put the file back that glue-compete wrote")
+        return msgspec.json.decode(read_regular(path, _MOST_BYTES), type=_Seal)
+    except (OSError, ValueError, RecursionError):
+        raise ExperimentError(f"{path} is not a seal: put the file back that glue-compete wrote") from None
 
 
-def _write(directory: Path, made: dict[str, Any]) -> None:
-    replace_flushed(directory / SEAL_FILE, json.dumps(made, indent=2) + "\n", KEPT)
+def _write(directory: Path, made: _Seal) -> None:
+    text = json.dumps(msgspec.to_builtins(made), indent=2) + "\n"
+    replace_flushed(directory / SEAL_FILE, text, KEPT)
