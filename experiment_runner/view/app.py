@@ -47,7 +47,7 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
         *_run_routes(catalog, read),
         *episodes.routes(catalog, Reader("recordings")),  # a thread of their own, as they can be long
     ]
-    handlers = {GlueError: _cannot_read, KeyError: _unknown, HTTPException: _refused}
+    handlers = dict.fromkeys((GlueError, KeyError, HTTPException), _error)
     return Guard(Starlette(routes=routes, exception_handlers=handlers), address, token)
 
 
@@ -92,14 +92,10 @@ def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
     ]
 
 
-async def _cannot_read(request: Request, error: Exception) -> Response:
+async def _error(request: Request, error: Exception) -> Response:
+    match error:
+        case KeyError():
+            return json_response({"error": "there is no such run"}, 404)
+        case HTTPException():
+            return json_response({"error": error.detail}, error.status_code)
     return json_response({"error": str(error)}, 422)
-
-
-async def _unknown(request: Request, error: Exception) -> Response:
-    return json_response({"error": "there is no such run"}, 404)
-
-
-async def _refused(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)
-    return json_response({"error": error.detail}, error.status_code)

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 import uvicorn
-from uvicorn.server import Server
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import Server
 
 from experiment_runner.view.app import page
 from experiment_runner.view.guard import ADMIT, Address
