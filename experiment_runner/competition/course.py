@@ -67,10 +67,10 @@ class Course:
         return [trial for trial in self.counting.values() if trial.parts[0] not in excluded]
 
     def admitted(self, competition: Competition) -> Competition:
-        """Return a competition whose entrants are those who were admitted, with what their names stood for.
+        """Return the competition with what the names of its entrants stood for when they were admitted.
 
         Raises:
-            ExperimentError: it has other entrants.
+            ExperimentError: it has other entrants, or other rules than at the start.
         """
         entrants = self.entrants
         named = {one.name for one in competition.entrants}
@@ -80,8 +80,18 @@ class Course:
                 if name in named
                 else f"entrant {name} takes part in the run: put it back in the competition's file"
             )
+        if _rules(self.competition) != _rules(competition):
+            raise ExperimentError(
+                "the run was begun with other limits, or another number of trials, episodes or steps: put "
+                "those of its competition.toml back, or choose another directory"
+            )
         known = tuple(replace(one, id=entrants[one.name].id) for one in competition.entrants)
         return replace(competition, entrants=known)
+
+    def planned(self, spec: TrialSpec) -> bool:
+        """Return whether a trial was planned from the start, and not by an act since."""
+        late = self.entrants[spec.id.parts[0]].act == ADD
+        return not late and spec.id not in self.reruns
 
     def with_reruns(self, specs: Sequence[TrialSpec]) -> list[TrialSpec]:
         """Return the competition's trials and their repetitions, which have the same levels and seeds.
@@ -133,6 +143,12 @@ class Course:
             repeated.append(TrialId.of(entrant, task, number))
             made.append(act(RERUN, trial, reason, trial=str(repeated[-1])))
         return made
+
+
+def _rules(competition: Competition) -> object:
+    """Return the rules that are not part of the trials."""
+    tasks = [(task.name, task.episodes, task.steps) for task in competition.tasks]
+    return competition.limits, competition.trials, tasks
 
 
 def course_of(directory: Path) -> Course:
