@@ -46,16 +46,8 @@ _PATIENCE_SECONDS: Final = 120.0
 _AGAIN_SECONDS: Final = 1.0
 
 _LACKS: Final = tuple(
-    os.strerror(number).lower()
-    for number in (
-        errno.ENOSPC,
-        errno.EDQUOT,
-        errno.ENOMEM,
-        errno.EMFILE,
-        errno.ENFILE,
-        errno.EAGAIN,
-        errno.EIO,
-    )
+    os.strerror(getattr(errno, name)).lower()
+    for name in ("ENOSPC", "EDQUOT", "ENOMEM", "EMFILE", "ENFILE", "EAGAIN", "EIO")
 )
 """Ends of answers in which an engine speaks of this machine, whatever it was asked to do."""
 

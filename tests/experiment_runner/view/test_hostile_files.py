@@ -31,8 +31,7 @@ from experiment_runner.store.merge import merge
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from experiment_runner.view.catalog import Catalog
-from experiment_runner.view.summary import run_in_full
+from experiment_runner.view.catalog import Catalog, run_in_full
 from glue.errors import GlueError
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation

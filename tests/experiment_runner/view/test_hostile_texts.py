@@ -26,11 +26,10 @@ from experiment_runner.report.tables import format_table, tabulate
 from experiment_runner.store.export import episode_table, metric_table, write_csv, write_json
 from experiment_runner.store.records import EpisodeResult, Reading
 from experiment_runner.store.results import Results
-from experiment_runner.view.catalog import Catalog
+from experiment_runner.view.catalog import Catalog, run_in_full
 from experiment_runner.view.curves import Wanted, curves
 from experiment_runner.view.export import as_page
 from experiment_runner.view.reader import as_json
-from experiment_runner.view.summary import run_in_full
 
 HOSTILE = "=cmd|x\x1b[2J\r\u202e\x9b31m<b>\nError: forged"
 PLAN = Plan(episodes=1, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
