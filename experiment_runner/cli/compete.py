@@ -15,7 +15,6 @@ import click
 from experiment_runner.cli.out import naming_out
 from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 from glue.files import read_text
@@ -61,6 +60,7 @@ def compete() -> None:
       glue-compete verify runs/spring --sign organiser.key_secret
       glue-compete board runs/spring --format html > spring.html
     """
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
 
 
 @compete.command()
@@ -276,13 +276,3 @@ def board(directory: Path, form: str, reveal: bool, signed_by: str | None) -> No
         click.echo(as_text(found, terminal_width()))
     else:
         sys.stdout.write({"csv": as_csv, "html": as_page, "json": as_json}[form](found))
-
-
-def main() -> None:
-    """Run the command."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
-    run(compete)
-
-
-if __name__ == "__main__":
-    main()
