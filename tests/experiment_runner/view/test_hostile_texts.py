@@ -35,10 +35,10 @@ HOSTILE = "=cmd|x\x1b[2J\r\u202e\x9b31m<b>\nError: forged"
 PLAN = Plan(episodes=1, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which every text is hostile: of the folder, players, trials, failures, events, answers."""
-    directory = tmp_path / HOSTILE.replace("/", "")
+    directory = tmp_path_factory.mktemp("runs") / HOSTILE.replace("/", "")
     with create_run(directory, PLAN) as store:
         trial = store.trials()[0].spec.id
         read = (Reading(1, {"total reward": 1.0, "m": 1.0}),)
