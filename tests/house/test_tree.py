@@ -21,6 +21,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
     "msgspec": [
+        "experiment_runner/competition/records/*",
         "experiment_runner/competition/settings.py",
         "experiment_runner/executors/job.py",
         "experiment_runner/plan/*",
@@ -45,7 +46,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "stable_baselines3": ["glue/gym/sb3.py"],
     "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*"],
-    "uvicorn": ["experiment_runner/view/server.py", "experiment_runner/view/connections.py"],
+    "uvicorn": ["experiment_runner/view/server.py"],
     # Peers and files are not trusted.
     **dict.fromkeys(("pickle", "marshal", "shelve", "eval()", "exec()", "compile()"), NOWHERE),
     # Every random choice comes from a generator that was handed over.
@@ -59,7 +60,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "experiment_runner/executors/hints.py",
         "experiment_runner/plan/provenance.py",
         "experiment_runner/report/progress.py",
-        "experiment_runner/view/starting.py",
+        "experiment_runner/view/launch.py",
         "experiment_runner/slurm/batch.py",
         "glue/conform/clients/mirror.py",
         "glue/plugins/naming.py",
@@ -72,7 +73,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "*/cli/*",
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
-            "experiment_runner/competition/programs.py",  # passes it on
+            "experiment_runner/competition/starters.py",  # passes it on
             "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
             "glue/conform/clients/process.py",  # passes it on
