@@ -200,7 +200,7 @@ class HubConfig:
             By default a quarter of the machine's memory.
         insecure: allow addresses without keys that other machines can reach. Peers are not authenticated.
         time: limits of the agent in every session; None for none.
-        greeting: seconds that a connection may stay without a seat in a session; then it is dropped, at the
+        greeting: seconds that a connection may take part in no session; then it is dropped, at the
             next heartbeat.
         farewell: maximum number of seconds that the hub waits, when it ends, for its last messages to be read
             and for its last log lines to be written.
