@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from glue.cli.players import Extra, player_command
-from glue.cli.shared import run
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
@@ -52,12 +51,3 @@ environment: click.Group = player_command(
         "level_template",
     ),
 )
-
-
-def main() -> None:
-    """Run `glue-env`."""
-    run(environment)
-
-
-if __name__ == "__main__":
-    main()
