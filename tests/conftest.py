@@ -21,7 +21,6 @@ from hypothesis import settings
 
 FOLDERS: Final = {
     "agents/soar": "soar",
-    "agents/test_ppo.py": "studies",
     "clients": "clients",
     "experiment_runner/loggers": "loggers",
     "experiment_runner/study": "studies",
@@ -35,6 +34,7 @@ FOLDERS: Final = {
     "package/test_names.py": "package",
     "package/test_notebooks.py": "notebooks",
     "package/test_site.py": "site",
+    "studies": "studies",
     "system/slurm": "slurm",
     "system/test_ray.py": "ray",
 }

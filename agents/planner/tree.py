@@ -48,8 +48,15 @@ def push(nodes: Array, heap: npt.NDArray[np.int64], size: int, node: int) -> int
 def pop(nodes: Array, heap: npt.NDArray[np.int64], size: int) -> int:
     """Take the lowest node off the heap of `size` nodes and return it; the heap then has one node fewer."""
     lowest = heap[0]
-    last = heap[size - 1]
-    size -= 1
+    heap[0] = heap[size - 1]
+    sink(nodes, heap, size - 1)
+    return int(lowest)
+
+
+@jit
+def sink(nodes: Array, heap: npt.NDArray[np.int64], size: int) -> None:
+    """Restore the order of the heap of `size` nodes, whose first may be too high."""
+    first = heap[0]
     at = 0
     while True:
         below = 2 * at + 1
@@ -57,12 +64,11 @@ def pop(nodes: Array, heap: npt.NDArray[np.int64], size: int) -> int:
             break
         if below + 1 < size and nodes[heap[below + 1]].key < nodes[heap[below]].key:
             below += 1
-        if nodes[heap[below]].key >= nodes[last].key:
+        if nodes[heap[below]].key >= nodes[first].key:
             break
         heap[at] = heap[below]
         at = below
-    heap[at] = last
-    return int(lowest)
+    heap[at] = first
 
 
 @jit

@@ -41,9 +41,9 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "scipy": ["experiment_runner/analysis/stats.py"],
     "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
-    "gymnasium": ["glue/gym/*", "env_server/gym/*", "env_server/datasets/*", "agents/ppo.py"],
+    "gymnasium": ["glue/gym/*", "env_server/gym/*", "env_server/datasets/*"],
     "stable_baselines3": ["glue/gym/sb3.py"],
-    "torch": ["agents/ppo.py", "experiment_runner/study/generalisation/imitation.py"],
+    "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*"],
     "uvicorn": ["experiment_runner/view/server.py", "experiment_runner/view/connections.py"],
     # Peers and files are not trusted.
@@ -53,7 +53,6 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     # Libraries name settings by their Python names; these show or start commands, or are programs themselves.
     "--option": [
         "*/cli/*",
-        "agents/ppo.py",
         "agents/soar/*",
         "experiment_runner/competition/containers.py",
         "experiment_runner/processes/children.py",
@@ -62,7 +61,6 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "experiment_runner/report/progress.py",
         "experiment_runner/view/starting.py",
         "experiment_runner/slurm/batch.py",
-        "experiment_runner/study/generalisation/imitation.py",
         "glue/conform/clients/mirror.py",
         "glue/plugins/naming.py",
         "glue/rlglue/package.py",

@@ -13,7 +13,6 @@ from experiment_runner.store.output import written
 from experiment_runner.study.paper.experiments import ALL, SOAR
 from experiment_runner.study.paper.figures import figures
 from experiment_runner.study.paper.outcomes import LevelResults, load
-from experiment_runner.study.paper.shared_values import agreements
 from experiment_runner.study.paper.tables import as_csv, as_markdown, as_soar_markdown
 from glue.errors import ExperimentError
 
@@ -45,8 +44,8 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
     outcomes = load(out)
     if not outcomes:
         raise ExperimentError(f"{out} contains no finished episode of any experiment")
-    sections = _sections(outcomes, out)
-    page = None if docs is None else _with_tables(docs, sections)
+    sections = _sections(outcomes)
+    page = None if docs is None else with_tables(docs, sections)
     drawn = figures(outcomes)
     folder = _folder(out / REPORT)
     _write(folder / "tables.md", "\n".join(sections.values()))
@@ -66,7 +65,7 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
     return Report(outcomes, files)
 
 
-def _sections(outcomes: list[LevelResults], out: Path) -> dict[str, str]:
+def _sections(outcomes: list[LevelResults]) -> dict[str, str]:
     """Return the tables by the marks that they follow."""
     sections = {}
     own = [outcome for outcome in outcomes if outcome.experiment.group == ALL]
@@ -74,11 +73,11 @@ def _sections(outcomes: list[LevelResults], out: Path) -> dict[str, str]:
         sections[BEGIN] = as_markdown(own)
     soar = [outcome for outcome in outcomes if outcome.experiment.group == SOAR]
     if soar:
-        sections[SOAR_BEGIN] = as_soar_markdown(soar, agreements(out))
+        sections[SOAR_BEGIN] = as_soar_markdown(soar)
     return sections
 
 
-def _with_tables(docs: Path, sections: Mapping[str, str]) -> str:
+def with_tables(docs: Path, sections: Mapping[str, str]) -> str:
     """Return the text of a page with the sections after their marks."""
     with reported(f"cannot read {docs}"):
         text = docs.read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from agents.mario.actions import ACTIONS, LEFT, action_number
+from agents.mario.agent import ACTIONS, LEFT, action_number
 from agents.mario.best import BestAgent
 from env_server.mario.environment import InfiniteMario
 from glue.roles import Environment

@@ -1,5 +1,7 @@
 """How well `planner-learns` identifies physical constants, compared to a planner that knows them.
 
+    python -m studies.physics instance-0 instance-7 random mdps --levels 200
+
 Both play one episode on each level: the levels of test-1000 with the constants of a published task or
 with random ones, or the published tasks themselves.
 """
@@ -10,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from typing import Any, Final, NamedTuple
 
+import click
 import numpy as np
 
 from agents.planner.agent import PlannerAgent
@@ -17,14 +20,21 @@ from agents.planner.learner import LearningPlannerAgent
 from env_server.mario import InfiniteMario, model
 from env_server.mario.game import Game
 from env_server.mario.parameters import INSTANCES, MDPS, Parameters, resolve
+from experiment_runner.analysis.stats import mean
+from experiment_runner.report.tables import markdown_table
 from experiment_runner.study.generalisation.players import is_won, level_set, play
-from experiment_runner.study.generalisation.summary import difference_in_goals, markdown
+from experiment_runner.study.generalisation.summary import estimated
+from glue.cli.shared import run
 from glue.errors import ConfigError
 from glue.types import Action
 
 GROUPS: Final = (*(f"instance-{number}" for number in range(INSTANCES)), *MDPS, "random", "mdps")
 """Names of groups of tasks: constants on the levels of test-1000, or the 20 MDPs on their own levels."""
 
+_HEAD: Final = (
+    "constants", "levels", "identified in 10 steps", "median steps", "predicted from then on", "goals",
+    "goals, told", "difference in points", "return", "return, told",
+)  # fmt: skip
 _TOLERANCE: Final = 0.001
 _FEW: Final = 10  # steps
 _MIXING: Final = 0x706879  # keeps random constants apart from other random numbers
@@ -80,22 +90,14 @@ def physics_table(groups: Sequence[str], played: Sequence[Sequence[PhysicsResult
                 f"{np.median(steps):g}",
                 f"{np.mean(since):.4f}" if since else "",
                 *(str(int(goals.sum())) for goals in (learned, told)),
-                difference_in_goals(learned, told),
+                estimated(100 * (learned - told), mean, 1),
                 *(
                     f"{np.mean([getattr(one, name) for one in found]):.1f}"
                     for name in PhysicsResult._fields[4:]
                 ),
             ]
         )
-    head = [
-        "constants",
-        "levels",
-        "identified in 10 steps",
-        "median steps",
-        "predicted from then on",
-        "goals",
-    ]
-    return markdown([*head, "goals, told", "difference in points", "return", "return, told"], rows, texts=1)
+    return markdown_table(_HEAD, rows, texts=1)
 
 
 def _tasks(group: str, levels: int) -> Iterator[Parameters]:
@@ -156,3 +158,20 @@ def _learn(
     total = play(agent, game, game.start(), chosen)
     wrong = agent.physics.surprises - before
     return identified, 1 - wrong / max(steps - identified, 1), is_won(game), total
+
+
+@click.command("physics")
+@click.argument("groups", nargs=-1, required=True)
+@click.option(
+    "--levels", type=click.IntRange(1, 1000), default=200, show_default=True, help="Levels of test-1000."
+)
+def physics(groups: tuple[str, ...], levels: int) -> None:
+    """Show how well planner-learns identifies physical constants, compared to a planner that knows them.
+
+    GROUPS are the constants to play with: instance-N, proving-N, testing-N or random; or mdps, the 20 MDPs.
+    """
+    print(physics_table(groups, [list(outcomes(group, levels)) for group in groups]))
+
+
+if __name__ == "__main__":
+    run(physics)

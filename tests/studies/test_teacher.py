@@ -8,7 +8,7 @@ from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LEVEL_SETS
 from env_server.mario.many.games import SAME_STEP, Games
 from env_server.mario.many.views import VIEWS
-from experiment_runner.study.generalisation.teacher import DEATH, Teacher
+from studies.teacher import DEATH, Teacher
 
 GAMES = 12
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents.mario.actions import NUM_ACTIONS
+from agents.mario.agent import NUM_ACTIONS
 from agents.planner.search import BEFORE, SETTINGS, make_room, model, search
 from agents.planner.tree import stride
 from env_server.mario.many.games import Games

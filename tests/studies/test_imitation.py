@@ -7,13 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.network.weights import load, preferences
+from agents.network.agent import load, preferences
 
-pytest.importorskip(
-    "torch", reason="it learns with PyTorch: pip install 'glue-rl[torch]'", exc_type=ImportError
-)
+pytest.importorskip("torch", reason="it learns with PyTorch: pip install 'torch>=2.2'", exc_type=ImportError)
 
-from experiment_runner.study.generalisation.imitation import Player, States, learn
+from studies.imitation import Player, States, learn
 
 
 def test_one_round_teaches_what_is_cheap(tmp_path: Path) -> None:

@@ -7,17 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.network.weights import Network, load, save
+from agents.network.agent import Network, load, save
 from tests.agents.network.test_network import arrays
 
-pytest.importorskip(
-    "torch", reason="it learns with PyTorch: pip install 'glue-rl[torch]'", exc_type=ImportError
-)
+pytest.importorskip("torch", reason="it learns with PyTorch: pip install 'torch>=2.2'", exc_type=ImportError)
 pytest.importorskip(
     "gymnasium", reason="it needs Gymnasium: pip install 'glue-rl[gym]'", exc_type=ImportError
 )
 
-from agents import ppo
+from studies import ppo
 
 
 def learned(file: Path, seed: int = 1, updates: int = 1, start: str = "") -> Network:

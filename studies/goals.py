@@ -1,5 +1,8 @@
 """The goals that were set for the agents before the full run, and whether they were met.
 
+    glue-paper all
+    python -m studies.goals runs/paper --docs docs/paper.md
+
 The goals are for the full study: fewer or shorter trials are not judged.
 """
 
@@ -7,12 +10,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final, NamedTuple
 
+import click
 import numpy as np
 
+from experiment_runner.report.tables import markdown_table
 from experiment_runner.study.paper.experiments import EPISODES, EXPERIMENTS, PAPER_LEVEL, TRIALS, PaperLevel
-from experiment_runner.study.paper.outcomes import LevelResults
+from experiment_runner.study.paper.outcomes import LevelResults, load
+from glue.cli.shared import run
+from studies.pages import docs_option, show
+
+BEGIN: Final = "<!-- written by studies.goals, from here -->"
+_HEADER: Final = ("required", "found", "met")
+_NOT_JUDGED: Final = f"not judged: needs {TRIALS} trials of {EPISODES} episodes"
+_MET: Final = {True: "yes", False: "**no**", None: _NOT_JUDGED}
 
 _ORIGINAL_SAMPLE: Final = 130.45
 """The reward of the original sample agent: the mean of ten runs of 500 episodes on the paper's level."""
@@ -154,3 +167,21 @@ _GOALS: Final = (
         for difficulty in (1, 2, 3)
     ),
 )  # fmt: skip
+
+
+def as_markdown(given: Sequence[GoalVerdict]) -> str:
+    """Return a table in Markdown."""
+    rows = [(one.required, one.found, _MET[one.met]) for one in given]
+    return f"**Required and found**\n\n{markdown_table(_HEADER, rows, texts=3)}\n"
+
+
+@click.command("goals")
+@click.argument("runs", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@docs_option
+def goals(runs: Path, docs: Path | None) -> None:
+    """Compare the results of the runs of `glue-paper all` with the goals that were set for them."""
+    show(BEGIN, as_markdown(verdicts(load(runs))), docs)
+
+
+if __name__ == "__main__":
+    run(goals)

@@ -1,7 +1,7 @@
 """Proximal policy optimisation on many games of Infinite Mario at once: one file to read and to change.
 
-    pip install 'glue-rl[gym,torch]'
-    python -m agents.ppo --levels 100000 --seed 1 --steps 5000000 --out runs/ppo-1.npz
+    pip install --editable '.[gym]' 'torch>=2.2'
+    python -m studies.ppo --levels 100000 --seed 1 --steps 5000000 --out runs/ppo-1.npz
     glue-generalise --agent network --agent-option policy=runs/ppo-1.npz
 
 It learns from `gymnasium.make_vec` with SAME_STEP autoreset, on one thread, from scratch or from the
@@ -16,14 +16,16 @@ from __future__ import annotations
 import argparse
 import time
 from collections import deque
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 
-from agents.mario.actions import NUM_ACTIONS
-from agents.network.features import FEATURES, NONE, RECENT, features, remember
-from agents.network.weights import WIDTHS, load, of_linear, save
+from agents.mario.agent import NUM_ACTIONS
+from agents.network.agent import WIDTHS, load, save
+from agents.network.features import FEATURES, NONE, RECENT, Reals, features, remember
 from glue.errors import ConfigError, GlueError
 
 GAMES, LENGTH = 256, 64  # steps of each game between two updates
@@ -80,6 +82,12 @@ class Policy(nn.Module):  # type: ignore[misc]
     def save(self, path: str) -> None:
         """Write the network that plays."""
         save(of_linear(self.layers()), path)
+
+
+def of_linear(layers: Sequence[Any]) -> dict[str, Reals]:
+    """Return a copy of the weights and biases of torch's linear layers."""
+    weights = {f"weight{i}": layer.weight.detach().numpy().T.copy() for i, layer in enumerate(layers)}
+    return weights | {f"bias{i}": layer.bias.detach().numpy().copy() for i, layer in enumerate(layers)}
 
 
 def learn(levels: str, seed: int, steps: int, start: str, out: str) -> None:

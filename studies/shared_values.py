@@ -4,6 +4,9 @@ Both hold a value for each keystroke in a state, for each operator with its obje
 a context. Ours are under hashed keys, so each of Soar's rules is looked up by the key of its conditions. Rank
 correlation (Spearman's) compares two trials over the values that both have updated. Two trials of one agent
 differ as well, since they explore differently: their correlation is the baseline.
+
+    glue-paper soar
+    python -m studies.shared_values runs/paper --docs docs/paper.md
 """
 
 from __future__ import annotations
@@ -13,22 +16,31 @@ from itertools import combinations, product
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import click
 import numpy as np
 
-from agents.keys import extend, feature
-from agents.mario.actions import LEFT, RIGHT, STAY, action_number
+from agents.mario.agent import LEFT, RIGHT, STAY, action_number
 from agents.mario.monsters import absolute_motion
 from agents.mario.scene import A_COIN, A_MONSTER, A_QUESTION, AWAY, NO_MOTION, STATIONARY, TOWARDS, VERTICAL
 from agents.mohan2010 import flo
+from agents.policy import extend, feature
 from agents.soar.mario_link import SPRITES
-from agents.soar.rules import parse_rules
-from agents.soar.values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
+from agents.soar.player import parse_rules
 from experiment_runner.analysis.stats import FloatArray
+from experiment_runner.report.tables import markdown_table
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.results import Results
 from experiment_runner.study.paper.experiments import EXPERIMENTS, SOAR
+from glue.cli.shared import run
 from glue.errors import SaveError
 from glue.saves import unpack
+from studies.pages import docs_option, show
+from studies.soar_values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
+
+BEGIN: Final = "<!-- written by studies.shared_values, from here -->"
+_HEADER: Final = (
+    "experiment", "agent", "values of", "shared", "Soar and ours", "two of ours", "two on Soar",
+)  # fmt: skip
 
 Values = Mapping[int, float]
 """Learned values that were updated, by our agents' keys."""
@@ -199,3 +211,25 @@ def _motion(text: str) -> int:
         return _MOTIONS[text]
     across, up = (_SIGNS[sign] for sign in text.split("-"))
     return absolute_motion(float(across), float(up))
+
+
+def as_markdown(found: Sequence[Agreement]) -> str:
+    """Return a table in Markdown."""
+    rows = []
+    for one in found:
+        ranks = (one.soar_and_ours, one.two_of_ours, one.two_on_soar)
+        shown = ("" if rank is None else f"{rank:.2f}" for rank in ranks)
+        rows.append((one.experiment, f"`{one.agent}`", one.kind, f"{one.shared:,.0f}", *shown))
+    return f"**Rank correlation of the values**\n\n{markdown_table(_HEADER, rows, texts=3)}\n"
+
+
+@click.command("shared_values")
+@click.argument("runs", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@docs_option
+def shared_values(runs: Path, docs: Path | None) -> None:
+    """Compare the values that agents on Soar and ours have learned in the runs of `glue-paper soar`."""
+    show(BEGIN, as_markdown(agreements(runs)), docs)
+
+
+if __name__ == "__main__":
+    run(shared_values)

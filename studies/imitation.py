@@ -1,7 +1,7 @@
 """Imitation of a search, by a network that sees what an agent sees: a file of the agent `network`.
 
-    pip install 'glue-rl[torch]'
-    python -m experiment_runner.study.generalisation.imitation --seed 1 --states 1000000 --out imitation.npz
+    pip install --editable . 'torch>=2.2'
+    python -m studies.imitation --seed 1 --states 1000000 --out imitation.npz
     glue-generalise --set test-1000 --agent network --agent-option policy=imitation.npz
 
 A teacher that knows the level prices every action, and the network learns how much more each costs than the
@@ -24,14 +24,15 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from agents.mario.actions import NUM_ACTIONS
+from agents.mario.agent import NUM_ACTIONS
+from agents.network.agent import LAYERS, WIDTHS, Network, preferences, save
 from agents.network.features import FEATURES, NONE, RECENT, Reals, features, remember
-from agents.network.weights import LAYERS, WIDTHS, Network, of_linear, preferences, save
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LevelSet
 from env_server.mario.many.games import SAME_STEP, Games
 from env_server.mario.many.views import VIEWS
-from experiment_runner.study.generalisation.teacher import Teacher
+from studies.ppo import of_linear
+from studies.teacher import Teacher
 
 _GAMES: Final = 256
 _EPISODE: Final = 350  # steps; a level takes 100 to 250
