@@ -222,7 +222,7 @@ def check_parameters(options: Mapping[str, Any]) -> Parameters:
             if name in given:
                 raise SimulatorError(f"level {path} is a whole level: leave out {name}")
         picture = read_picture(Path(path), digest)
-        given |= {"level": picture, **picture.options}
+        given |= {"level": picture, **picture.parameters}
     elif digest is not None:
         raise SimulatorError("level_digest is of the file of a level: give level, too")
     return resolve(given, instance=instance, mdp=mdp)

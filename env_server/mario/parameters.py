@@ -77,7 +77,7 @@ class Parameters:
     velocity: Annotated[
         str, Option("tiles per step, or as the first binary release reported it", choices=("source", "jar"))
     ] = "source"
-    level: Picture | None = None  # in place of a level made from a seed; its `options` are in force
+    level: Picture | None = None  # in place of a level made from a seed; its `parameters` are in force
 
     @property
     def rewards(self) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import re
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -125,7 +125,7 @@ class Picture(NamedTuple):
     spawns: bytes
 
     @property
-    def options(self) -> dict[str, int]:
+    def parameters(self) -> dict[str, Any]:
         """The parameters that stand for this level in a world: no level of a seed has them."""
         seed = int(self.sha256[:15], 16) | 1 << 60
         width = self.columns - EXTRA_COLUMNS
@@ -135,7 +135,7 @@ class Picture(NamedTuple):
         """Return the level as the simulator plays it, shape (1,)."""
         levels = np.zeros(1, LEVEL)
         level: LevelMap = levels[0]
-        level.seed, level.type = self.options["level_seed"], self.type
+        level.seed, level.type = self.parameters["level_seed"], self.type
         level.columns, (level.exit_x, level.exit_y) = self.columns, self.goal
         for there, ours in ((level.tiles, self.tiles), (level.spawns, self.spawns)):
             there[: self.columns] = np.frombuffer(ours, np.uint8).reshape(-1, ROWS)
@@ -159,14 +159,27 @@ def read_picture(path: Path, sha256: str | None = None) -> Picture:
         ConfigError: the file cannot be read, has another digest, or holds no level; the message names line
             and column, and what was expected.
     """
+    data, found = _contents(path)
+    if sha256 not in (None, found):
+        raise ConfigError(f"the level {path} has changed: its SHA-256 is {found}, not {sha256}")
+    return _Reader(path, data, found).picture()
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of the file of a level, in hexadecimal.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    return _contents(path)[1]
+
+
+def _contents(path: Path) -> tuple[bytes, str]:
     try:
         data = read_regular(path, MOST_BYTES, follow=True)
     except OSError as error:
         raise ConfigError(f"cannot read the level {path}: {error.strerror or error}") from None
-    found = hashlib.sha256(data).hexdigest()
-    if sha256 not in (None, found):
-        raise ConfigError(f"the level {path} has changed: its SHA-256 is {found}, not {sha256}")
-    return _Reader(path, data, found).picture()
+    return data, hashlib.sha256(data).hexdigest()
 
 
 def write_picture(level: LevelMap) -> str:
