@@ -146,8 +146,9 @@ def make_games(
     if max_episode_steps is not None and not 1 <= max_episode_steps <= MAX_STEPS:
         raise ConfigError(f"max_episode_steps must be from 1 to {MAX_STEPS}, not {max_episode_steps}")
     chosen = resolve_levels(levels, num_levels, start_level)
-    if chosen is not None and "level_seed" in options:
-        raise ConfigError("level_seed is one level: leave it out, or levels, num_levels and start_level")
+    for name in ("level_seed", "level"):
+        if chosen is not None and name in options:
+            raise ConfigError(f"{name} is one level: leave it out, or levels, num_levels and start_level")
     options = {name: _plain(value) for name, value in options.items()}
     return Games(
         [check_parameters(options)] * count,

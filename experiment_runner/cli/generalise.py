@@ -45,8 +45,8 @@ _T = TypeVar("_T")
     "sets",
     multiple=True,
     metavar="NAME",
-    help="Score this set of levels, or with NAME:N its first N, for each difficulty, in place of --train and "
-    "--test. Repeat it for several.",
+    help="Score this set of levels, or with NAME:N its first N, or the levels in the files *.txt of a folder, "
+    "for each difficulty, in place of --train and --test. Repeat it for several.",
 )
 @click.option(
     "--learn",
@@ -154,7 +154,7 @@ def generalise(
         open_benchmark,
         read_scores,
     )
-    from experiment_runner.study.generalisation.players import LAST_ACTIONS, LAST_REWARD
+    from experiment_runner.study.generalisation.players import LAST_ACTIONS, LAST_REWARD, set_name
     from experiment_runner.study.generalisation.summary import table
     from experiment_runner.study.generalisation.verification import solvable
     from glue.cli.screen import has_color
@@ -169,9 +169,9 @@ def generalise(
         name=name or agent_name,
         agent=agent_name,
         agent_options=agent_options,
-        train=train,
-        test=test,
-        sets=_distinct(sets),
+        train=set_name(train),
+        test=set_name(test),
+        sets=_distinct(tuple(map(set_name, sets))),
         learn=learn,
         relearn=relearn,
         seeds=_distinct(seeds),

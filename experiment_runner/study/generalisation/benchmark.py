@@ -111,7 +111,7 @@ class Benchmark:
         given = {"agent": player.name, "options": json.dumps(dict(player.options))}
         label = player.label
         counts = {"learn": self.learn, "relearn": self.relearn}
-        where = sets.replace(",", "+") + ("" if part < 0 else f"/difficulty={part}")
+        where = sets.replace(",", "+").replace("/", "-") + ("" if part < 0 else f"/difficulty={part}")
         blocks = len(scored_levels(sets, part))
         noise = {"noise": self.noise} if self.noise else {}
         return TrialSpec(

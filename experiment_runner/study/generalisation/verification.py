@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from env_server.mario import InfiniteMario
 from env_server.mario.game import Game
-from env_server.mario.level_sets import VERSION, LevelSet
+from env_server.mario.level_sets import VERSION, LevelFolder, LevelSet
 from experiment_runner.study.generalisation.players import (
     ACTIONS,
     Noise,
@@ -62,7 +62,7 @@ def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]
     say(f"{replayed} episodes were replayed")
 
 
-def _difference(score: dict[str, Any], levels: LevelSet, noise: Noise) -> str:
+def _difference(score: dict[str, Any], levels: LevelSet | LevelFolder, noise: Noise) -> str:
     """Return in words how a score differs from a replay of its actions; empty if it does not."""
     actions = str(score["actions"])
     if not actions:
@@ -76,7 +76,9 @@ def _difference(score: dict[str, Any], levels: LevelSet, noise: Noise) -> str:
     )
 
 
-def replay(levels: LevelSet, number: int, actions: str, noise: Noise | None = None) -> dict[str, Any]:
+def replay(
+    levels: LevelSet | LevelFolder, number: int, actions: str, noise: Noise | None = None
+) -> dict[str, Any]:
     """Return the outcome of actions, given by their digits, on a level, up to the end of the episode."""
     game = Game(levels.level(_TASK, number))
     game.start()
