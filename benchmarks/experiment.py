@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from benchmarks.hub import three_processes
 from benchmarks.measure import REPEATS, Table, count, ratio
-from experiment_runner.meeting import player_command
+from experiment_runner.executors import player_command
 from experiment_runner.store.results import Results
 from glue.wire.messages import Role
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from experiment_runner.cli.carrying_out import note_players_without_seed, resume_options
 from experiment_runner.cli.out import naming_out
-from experiment_runner.executors.resume import FINISH, open_run, remaining
+from experiment_runner.executors.opening import FINISH, open_run, remaining
 from experiment_runner.executors.run import RunConfig
 from experiment_runner.plan.plan import Plan
 from experiment_runner.report.tables import counted
@@ -75,7 +75,7 @@ def carry_out_array(
         note_players_without_seed(store, plan, say)
         tasks = divide(store, MAX_TASKS)
         options = [*resume_options(store, config), f"--checkpoint-every={config.checkpoint_every}"]
-        if config.meeting.in_process:
+        if config.placement.in_process:
             options.append("--in-process")
         command = [*_MODULE, "experiment_runner.cli.experiment", *options, "--resume"]
         replace_flushed(parts / _SCRIPT, array_script(parts, command, tasks, config.workers, sbatch))

@@ -116,7 +116,7 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     from experiment_runner.competition.organiser import hold, open_competition
     from experiment_runner.competition.secret import read_secret
     from experiment_runner.competition.settings import Gate
-    from experiment_runner.executors.resume import kept_if_begun
+    from experiment_runner.executors.opening import kept_if_begun
 
     if view:
         check_view()
@@ -304,7 +304,7 @@ def _check_signature(directory: Path, public: bytes) -> None:
 
 
 def _load(file: Path) -> Competition:
-    from experiment_runner.competition.file import load_competition
+    from experiment_runner.competition.settings import load_competition
 
     return load_competition(file)
 

@@ -49,7 +49,7 @@ from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
-    from experiment_runner.meeting.players import HubOptions
+    from experiment_runner.executors.players import HubOptions
 
 _GROUPS: Final = {
     "Episodes and their results": (
@@ -312,16 +312,16 @@ def _experiment(options: Options, results: TextIO | None) -> int:
     """Carry out the command; `results` receives JSON lines, None for a table on standard output."""
     from experiment_runner.cli.arrays import carry_out_array
     from experiment_runner.cli.carrying_out import carry_out, carry_out_search, check_players, check_recording
+    from experiment_runner.executors.players import Placement
     from experiment_runner.executors.run import RunConfig
-    from experiment_runner.meeting.players import Meeting
 
     plan, given = _planned(options)
     inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
     roles = frozenset(PLAYERS[player] for player in inside)
-    meeting = Meeting(roles, _hub_options(options), any_reward=options.any_reward)
+    placement = Placement(roles, _hub_options(options), any_reward=options.any_reward)
     backend, questions = Backend(options.engine), tuple(dict.fromkeys(options.ask))
     config = RunConfig(
-        meeting, options.checkpoint_every, backend, options.workers, options.address, questions
+        placement, options.checkpoint_every, backend, options.workers, options.address, questions
     )
     config = replace(config, metrics=plan.metrics)
     check_backend(config)
@@ -355,7 +355,7 @@ def _planned(options: Options) -> tuple[Plan, Path | None]:
         ConfigError: the options contradict each other, or the plan is wrong.
         ExperimentError: there is no run to continue, or it cannot be read.
     """
-    from experiment_runner.executors.resume import recorded_plan
+    from experiment_runner.executors.opening import recorded_plan
 
     file, resume = options.plan_file, options.resume
     if file is not None and (
@@ -395,7 +395,7 @@ def _hub_options(options: Options) -> HubOptions:
     Raises:
         ConfigError: options contradict each other, or an address is malformed.
     """
-    from experiment_runner.meeting.players import HubOptions
+    from experiment_runner.executors.players import HubOptions
 
     in_process = options.in_process or PLAYERS.keys() <= {*options.inside}
     isolated = in_process or options.workers or options.engine != Backend.LOCAL

@@ -150,8 +150,8 @@ def generalise(
     """
     if context.invoked_subcommand:
         return 0
+    from experiment_runner.executors.players import BOTH, Placement
     from experiment_runner.executors.run import RunConfig, run_trials
-    from experiment_runner.meeting.players import BOTH, Meeting
     from experiment_runner.report.progress import Progress
     from experiment_runner.store.database import reported
     from experiment_runner.study.generalisation.benchmark import Benchmark, document, open_benchmark
@@ -180,7 +180,7 @@ def generalise(
         noise=noise,
     )
     config = RunConfig(
-        Meeting(BOTH),
+        Placement(BOTH),
         backend=Backend(engine),
         workers=workers,
         address=address,

@@ -108,13 +108,13 @@ def paper(
 
 def _run(directory: Path, plan: Plan, workers: int) -> int:
     """Run the remaining trials of a plan; return the number of trials that failed."""
-    from experiment_runner.executors.resume import open_run
+    from experiment_runner.executors.opening import open_run
+    from experiment_runner.executors.players import BOTH, Placement
     from experiment_runner.executors.run import RunConfig, run_trials
-    from experiment_runner.meeting.players import BOTH, Meeting
     from experiment_runner.report.progress import Progress
     from glue.cli.screen import has_color
 
-    config = RunConfig(Meeting(BOTH), workers=workers)
+    config = RunConfig(Placement(BOTH), workers=workers)
     with ExitStack() as stack:
         with naming_out():
             store = stack.enter_context(open_run(directory, plan))

@@ -28,7 +28,7 @@ from experiment_runner.competition.jail import LABEL, check_engine, check_image,
 from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import SOCKET, Launch, Running
-from experiment_runner.meeting.watchdog import spawn
+from experiment_runner.processes.watchdog import spawn
 from experiment_runner.store.layout import write_flushed
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError

@@ -1,8 +1,8 @@
 """One entrant plays one trial of a task, in a worker process with its own hub.
 
-Workers are forked, see `experiment_runner.meeting.warm` and `experiment_runner.executors.local`. Environment
-and hub are in this process; the entrant's program, which the starter starts, can reach only the socket that
-it is launched with.
+Workers are forked, see `experiment_runner.processes.warm` and `experiment_runner.executors.workers`.
+Environment and hub are in this process; the entrant's program, which the starter starts, can reach only the
+socket that it is launched with.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from experiment_runner.competition.settings import Entrant, Gate, Limits
 from experiment_runner.competition.starting import Launch, Running, Starter
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended, Lost, Recorded, decode
-from experiment_runner.executors.local import serve
-from experiment_runner.meeting.scratch import SOCKET as SHARED
-from experiment_runner.meeting.scratch import scratch_folder
+from experiment_runner.executors.workers import serve
 from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.processes.scratch import SOCKET as SHARED
+from experiment_runner.processes.scratch import scratch_folder
 from experiment_runner.store.database import reported
 from glue.client.experiment import RemoteExperiment, connect_over
 from glue.console import one_line
@@ -179,7 +179,7 @@ class _Playing:
                 bind = Bind(launch.hub, frozenset({Role.AGENT}), frozenset({session}))
             else:
                 bind = gate_for(match.entrant, match.gate)
-            config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits.time)
+            config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits)
             with ExitStack() as meeting:
                 hub = meeting.enter_context(Hub(config, clock=self._clock))
                 inside = InsideEnvironment(
@@ -256,7 +256,7 @@ class _Playing:
 
     def _watch(self, running: Running, glue: RemoteExperiment) -> None:
         """Watch, in a separate thread, for the end of the entrant's program, and for one that never joins."""
-        limit = self._match.limits.time.start_seconds
+        limit = self._match.limits.start_seconds
         began = self._clock()
         while not self._over.is_set():
             ended = running.wait(_LOOK_SECONDS)

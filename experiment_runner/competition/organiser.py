@@ -36,10 +36,10 @@ from experiment_runner.competition.records.seal import add_trials, broken, recor
 from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
 from experiment_runner.competition.starting import name_of_run
-from experiment_runner.executors.dispatch import Dispatcher
+from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Recorded
-from experiment_runner.executors.local import LocalExecutor
+from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.plan.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
@@ -199,7 +199,7 @@ def _check_entrants(waiting: Iterable[Match]) -> None:
 
 
 class _Matches(Closing):
-    """Stores the reports of matches; see `experiment_runner.executors.dispatch.Collector`."""
+    """Stores the reports of matches; see `experiment_runner.executors.dispatcher.Collector`."""
 
     def __init__(self, store: Store, matches: Iterable[Match], over: int, say: Say) -> None:
         self._store = store

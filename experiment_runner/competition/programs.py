@@ -12,8 +12,8 @@ from typing import Final
 from experiment_runner.competition.keeper import CANNOT_START, MODULE
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import Launch, variables
-from experiment_runner.meeting.children import how_it_ended
-from experiment_runner.meeting.watchdog import spawn
+from experiment_runner.processes.children import how_it_ended
+from experiment_runner.processes.watchdog import spawn
 from glue.errors import ConfigError, ExperimentError
 
 _STOP_SECONDS: Final = 5.0

@@ -1,7 +1,7 @@
 """One trial as a job for an executor, and the reports that it sends back.
 
 Reports are sent, in order, to the only process that writes the store, see
-`experiment_runner.executors.dispatch`. Between processes, jobs and reports are a stream of msgpack values.
+`experiment_runner.executors.dispatcher`. Between processes, jobs and reports are a stream of msgpack values.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any, Final, NamedTuple, TypeVar, get_args
 import msgpack
 
 from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.executors.players import Placement, open_experiment
 from experiment_runner.executors.recording import Recorder
 from experiment_runner.executors.trial import BEGINNING, Start, run_trial
-from experiment_runner.meeting.players import Meeting, open_experiment
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import StorageError
@@ -47,7 +47,7 @@ class Job(NamedTuple):
     """A trial to start or to continue.
 
     spec              the trial
-    meeting           the way in which its players are connected
+    placement           the way in which its players are connected
     start             the episode and checkpoint from which it starts
     checkpoint_every  number of episodes between checkpoints; 0 for none
     questions         messages to send to the agent after each episode, and each recorded step
@@ -55,7 +55,7 @@ class Job(NamedTuple):
     """
 
     spec: TrialSpec
-    meeting: Meeting
+    placement: Placement
     start: Start = BEGINNING
     checkpoint_every: int = 0
     questions: tuple[str, ...] = ()
@@ -165,7 +165,7 @@ def run_job(
         with (
             open_experiment(
                 job.spec,
-                job.meeting,
+                job.placement,
                 lambda line: send_alone(Said(line)),
                 lambda: sender.done,
                 lambda *player: send_alone(Joined(*player)),
@@ -180,7 +180,7 @@ def run_job(
                 start=job.start,
                 checkpoint_every=job.checkpoint_every,
                 interrupts=interrupts,
-                any_reward=job.meeting.any_reward,
+                any_reward=job.placement.any_reward,
                 recorder=None if recording is None else Recorder(recording, job.spec, glue, job.questions),
                 questions=job.questions,
                 metrics=job.metrics,
@@ -188,7 +188,7 @@ def run_job(
     except (StorageError, BrokenPipeError, KeyboardInterrupt):
         raise
     except GlueError as error:
-        if job.meeting.hub.hub is not None and isinstance(error, ConfigError | HubUnreachable | Refused):
+        if job.placement.hub.hub is not None and isinstance(error, ConfigError | HubUnreachable | Refused):
             raise
         if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
             show_failure(error.__cause__)

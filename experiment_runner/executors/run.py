@@ -5,16 +5,16 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass, field
 
-from experiment_runner.executors.dispatch import Dispatcher, Executor
+from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import GRACE_SECONDS, Interrupts
 from experiment_runner.executors.job import Job, Report
-from experiment_runner.executors.local import LocalExecutor
+from experiment_runner.executors.opening import remaining
+from experiment_runner.executors.players import Placement
 from experiment_runner.executors.ray_cluster import RayExecutor
-from experiment_runner.executors.resume import remaining
 from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend
 from experiment_runner.executors.trial import Start
 from experiment_runner.executors.trials import Trials
-from experiment_runner.meeting.players import Meeting
+from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
@@ -27,7 +27,7 @@ class RunConfig:
     """Settings of the execution of a run, which do not affect its results.
 
     Args:
-        meeting: the way in which the players of each trial are connected.
+        placement: the way in which the players of each trial are connected.
         checkpoint_every: number of episodes between checkpoints; 0 for none.
         backend: the kind of machine on which trials run.
         workers: maximum number of concurrent trials, each in its own process, or of a job array's tasks. None
@@ -37,7 +37,7 @@ class RunConfig:
         metrics: the agents' metrics to record; None for none.
     """
 
-    meeting: Meeting = field(default_factory=Meeting)
+    placement: Placement = field(default_factory=Placement)
     checkpoint_every: int = CHECKPOINT_EVERY
     backend: Backend = Backend.LOCAL
     workers: int | None = None
@@ -78,7 +78,7 @@ def run_trials(
     """
 
     def make_job(spec: TrialSpec, start: Start) -> Job:
-        return Job(spec, config.meeting, start, config.checkpoint_every, config.questions, config.metrics)
+        return Job(spec, config.placement, start, config.checkpoint_every, config.questions, config.metrics)
 
     reporter.start(store.trials())
     executor = _executor(config)

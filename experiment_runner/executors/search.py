@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from experiment_runner.analysis.stats import interquartile_mean
-from experiment_runner.executors.resume import (
+from experiment_runner.executors.opening import (
     check_sources,
     go_back,
     lengthen,

@@ -105,7 +105,7 @@ def run_trial(
         interrupts: lets the running episode end, followed by a checkpoint, before Ctrl-C takes effect; None
             to not defer it.
         any_reward: whether rewards may be infinite or NaN. If not, an episode whose return is infinite or NaN
-            ends the trial; single rewards are checked by `glue`, see `experiment_runner.meeting.rewards`.
+            ends the trial; single rewards are checked by `glue`, see `experiment_runner.executors.rewards`.
         questions: messages to send to the agent after each episode.
         metrics: the agent's metrics to record; None for none.
 

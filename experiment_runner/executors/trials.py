@@ -26,7 +26,7 @@ from experiment_runner.executors.job import (
     Voided,
     run_job,
 )
-from experiment_runner.executors.resume import go_back, remaining
+from experiment_runner.executors.opening import go_back, remaining
 from experiment_runner.executors.trial import BEGINNING, Start
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
@@ -41,7 +41,7 @@ _COMMIT_SECONDS: Final = 0.05
 
 
 class Trials(Closing):
-    """Collector that stores the reports of trials; see `experiment_runner.executors.dispatch.Collector`.
+    """Collector that stores the reports of trials; see `experiment_runner.executors.dispatcher.Collector`.
 
     Args:
         store: open for writing.

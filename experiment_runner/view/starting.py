@@ -41,7 +41,7 @@ def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
     Raises:
         ExperimentError: the page's process cannot be started.
     """
-    from experiment_runner.meeting import children
+    from experiment_runner.processes import children
 
     process = children.start(_MODULE, [str(directory), "--stderr"])
 

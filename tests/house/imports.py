@@ -68,10 +68,11 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "experiment_runner/store": ("experiment_runner/plan",),
     "experiment_runner/analysis": ("experiment_runner/store",),
     "experiment_runner/report": ("experiment_runner/analysis",),
-    "experiment_runner/meeting": ("experiment_runner/store", "glue/legacy"),
+    "experiment_runner/processes": ("experiment_runner/store",),
     "experiment_runner/executors": (
-        "experiment_runner/meeting",
+        "experiment_runner/processes",
         "experiment_runner/report",
+        "glue/legacy",
         "glue/trajectory",
     ),
     "experiment_runner/slurm": ("experiment_runner/store",),

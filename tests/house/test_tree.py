@@ -20,7 +20,12 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "zmq": ["glue/client/libzmq.py"],
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
-    "msgspec": ["experiment_runner/executors/job.py", "experiment_runner/store/readings.py"],
+    "msgspec": [
+        "experiment_runner/competition/settings.py",
+        "experiment_runner/executors/job.py",
+        "experiment_runner/plan/toml.py",
+        "experiment_runner/store/readings.py",
+    ],
     "numba": ["glue/compiled/jit.py", "glue/compiled/threads.py"],
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],
@@ -51,8 +56,8 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "agents/ppo.py",
         "agents/soar/*",
         "experiment_runner/competition/containers.py",
-        "experiment_runner/meeting/children.py",
-        "experiment_runner/meeting/hints.py",
+        "experiment_runner/processes/children.py",
+        "experiment_runner/executors/hints.py",
         "experiment_runner/plan/provenance.py",
         "experiment_runner/report/progress.py",
         "experiment_runner/view/starting.py",
@@ -70,7 +75,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
             "experiment_runner/competition/programs.py",  # passes it on
-            "experiment_runner/meeting/children.py",  # PYTHONBREAKPOINT
+            "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
             "glue/conform/hub/clients.py",  # passes it on
         ),

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import VERSION
-from experiment_runner.executors.resume import check_sources, open_trials, sources_of
+from experiment_runner.executors.opening import check_sources, open_trials, sources_of
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import create_run
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.comparing import compared, left_out, needed

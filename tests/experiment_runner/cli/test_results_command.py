@@ -20,7 +20,7 @@ from pyarrow import parquet
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.cli.plot import plot
 from experiment_runner.cli.results import results
-from experiment_runner.executors.resume import create_run, resume_run
+from experiment_runner.executors.opening import create_run, resume_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import overview
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE

@@ -29,8 +29,8 @@ from experiment_runner.executors.job import (
     unpacker,
     watched,
 )
+from experiment_runner.executors.players import BOTH, Placement
 from experiment_runner.executors.trial import Start
-from experiment_runner.meeting.players import BOTH, Meeting
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
@@ -66,7 +66,7 @@ def test_reports_arrive_as_they_were_sent_however_the_stream_is_cut() -> None:
 def test_job_arrives_as_it_was_sent() -> None:
     agent = RoleSpec("sarsa", {"step_size": 0.1, "episodes": 2**63 - 1, "greedy": True, "file": "ä"}, "mine")
     spec = TrialSpec(TrialId("mine/mines/0"), agent, RoleSpec("mines"), 12, 30, 2**63 - 1)
-    job = Job(spec, Meeting(BOTH, any_reward=True), Start(5, Checkpoint(b"a", b"e")), 4, ("values", ""))
+    job = Job(spec, Placement(BOTH, any_reward=True), Start(5, Checkpoint(b"a", b"e")), 4, ("values", ""))
     assert list(map(decode_job, unpack(encode(job)))) == [job]
 
 
@@ -104,7 +104,7 @@ def test_whatever_a_player_raises_ends_its_trial_with_a_text_that_can_be_stored(
     reports: list[Report] = []
     agent = RoleSpec(f"{__file__}:Failing", {"how": failure})
     spec = TrialSpec(TrialId("a/b/0"), agent, RoleSpec("mines"), 1, 30, 0)
-    run_job(Job(spec, Meeting(frozenset(inside))), reports.append)
+    run_job(Job(spec, Placement(frozenset(inside))), reports.append)
     ended = reports[-1]
     assert isinstance(ended, Ended)
     assert re.search(FAILURES[failure][1], ended.failure or ""), ended.failure

@@ -18,9 +18,9 @@ from env_server.replay.episodes import build_environment, open_recording, replay
 from env_server.toys import MinesEnvironment
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.executors.job import Ended, Job, Report, run_job
+from experiment_runner.executors.players import BOTH, Placement
 from experiment_runner.executors.recording import Recorder, recorded
 from experiment_runner.executors.trial import BEGINNING, Start, run_trial
-from experiment_runner.meeting.players import BOTH, Meeting
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
@@ -302,7 +302,7 @@ def test_full_disk_fails_the_trial_in_one_line_and_leaves_what_was_stored(
     resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, hard))
     try:
         with recorded(Path("run.traj")) as recording:
-            run_job(Job(spec, Meeting(inside=BOTH)), reports.append, recording=recording)
+            run_job(Job(spec, Placement(inside=BOTH)), reports.append, recording=recording)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert reports[-1] == Ended("cannot write run.traj: File too large")

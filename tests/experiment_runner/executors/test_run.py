@@ -11,14 +11,14 @@ import pytest
 
 from experiment_runner.analysis.settings import collect
 from experiment_runner.cli.carrying_out import resume_command
-from experiment_runner.executors.dispatch import Dispatcher
+from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Job, Joined, Lost, Recorded, Report, Said, run_job
-from experiment_runner.executors.resume import OtherRun, create_run, open_run, remaining
+from experiment_runner.executors.opening import OtherRun, create_run, open_run, remaining
+from experiment_runner.executors.players import BOTH, HubOptions, Placement
 from experiment_runner.executors.run import RunConfig, run_trials
 from experiment_runner.executors.trial import Start
 from experiment_runner.executors.trials import Trials
-from experiment_runner.meeting.players import BOTH, HubOptions, Meeting
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.report.progress import Progress
@@ -38,7 +38,7 @@ PLAN = Plan(
 )
 STEPS = replace(PLAN, episodes=0, steps=333)
 FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
-HERE = Meeting(inside=BOTH)
+HERE = Placement(inside=BOTH)
 
 
 class Silent(Progress):
@@ -183,8 +183,8 @@ def test_an_interrupted_run_says_how_to_continue_as_it_was_begun(tmp_path: Path)
         legacy=(LegacyPort(4096, "a"),),
         keys=tmp_path / "keys",
     )
-    meeting = Meeting(inside=BOTH, hub=hub, any_reward=True)
-    config = RunConfig(meeting, questions=("values",))
+    placement = Placement(inside=BOTH, hub=hub, any_reward=True)
+    config = RunConfig(placement, questions=("values",))
     reporter = Silent(interrupt_after=3)
     with create_run(tmp_path / "run", plan) as store:
         command = resume_command(store, config)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.stats import interquartile_mean
+from experiment_runner.executors.players import BOTH, Placement
 from experiment_runner.executors.run import RunConfig
 from experiment_runner.executors.samplers import Configuration, Score, sampler_of
 from experiment_runner.executors.search import RESULT, SEARCH, tune
-from experiment_runner.meeting.players import BOTH, Meeting
 from experiment_runner.plan.file import dump_plan, parse_plan
 from experiment_runner.plan.plan import Plan
 from experiment_runner.plan.tuning import Range, Space, TunePlan
@@ -44,7 +44,7 @@ learning = true
 
 [agents.random]
 """)
-CONFIG = RunConfig(Meeting(inside=BOTH), checkpoint_every=3)
+CONFIG = RunConfig(Placement(inside=BOTH), checkpoint_every=3)
 
 
 def searching(**changes: object) -> Plan:

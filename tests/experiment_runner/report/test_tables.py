@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.settings import collect
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import create_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.markup import LATEX, MARKDOWN, paper_table
 from experiment_runner.report.overview import as_text

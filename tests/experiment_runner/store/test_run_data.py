@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import glue
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import create_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.run_data import StoredRun, load_run

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import create_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_object, as_text, overview
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE

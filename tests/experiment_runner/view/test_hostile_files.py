@@ -20,7 +20,7 @@ from env_server.replay.episodes import open_recording, recorded_moments
 from experiment_runner.competition.board.standings import standings
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.verify import verify
-from experiment_runner.executors.resume import create_run, resume_run
+from experiment_runner.executors.opening import create_run, resume_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_text, overview
 from experiment_runner.store.export import episode_table

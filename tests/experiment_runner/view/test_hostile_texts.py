@@ -17,7 +17,7 @@ from experiment_runner.analysis.settings import collect
 from experiment_runner.competition.board.forms import as_csv
 from experiment_runner.competition.board.forms import as_text as board_text
 from experiment_runner.competition.board.standings import Forfeit, Standing, Standings
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import create_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.comparing import COLUMNS, compared
 from experiment_runner.report.overview import Overview, as_object, as_text, overview

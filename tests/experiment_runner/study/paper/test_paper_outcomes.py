@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import create_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, PaperLevel, plan_of

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from experiment_runner.cli.paper import paper
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import create_run
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.study.paper.experiments import EXPERIMENTS, plan_of

@@ -11,7 +11,7 @@ import pytest
 from agents.mohan2010.hierarchical import HierarchicalAgent
 from agents.soar.values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
 from env_server.mario.environment import InfiniteMario
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import create_run
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.study.paper.experiments import EXPERIMENTS, plan_of
 from experiment_runner.study.paper.shared_values import agreements, key_of, spearman

@@ -1,6 +1,6 @@
 """Processes that start at once: they are forked from one that has imported their module already.
 
-    python -P -m experiment_runner.meeting.warm DESCRIPTOR MODULE ARGUMENTS...
+    python -P -m experiment_runner.processes.warm DESCRIPTOR MODULE ARGUMENTS...
 
 imports MODULE, and calls its function `prepare` with the arguments. Then it forks for every message on the
 socket DESCRIPTOR, which brings three descriptors: of the child's job, of its standard input, and of a pipe to
@@ -24,12 +24,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import IO, Final, NoReturn
 
-from experiment_runner.meeting.children import become_child, end
-from experiment_runner.meeting.watchdog import spawn
+from experiment_runner.processes.children import become_child, end
+from experiment_runner.processes.watchdog import spawn
 from glue.closing import Closing
 from glue.errors import ExperimentError
 
-_MODULE: Final = "experiment_runner.meeting.warm"
+_MODULE: Final = "experiment_runner.processes.warm"
 _NUMBER: Final = struct.Struct("<i")
 
 

@@ -1,6 +1,6 @@
 """Child processes: starting and ending them, and restarting players that are killed.
 
-    python -P -m experiment_runner.meeting.children MODULE ARGUMENTS...
+    python -P -m experiment_runner.processes.children MODULE ARGUMENTS...
 
 runs a module as a program that ends with the process that started it.
 """
@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import IO, Any, Final, Protocol, Self
 
-from experiment_runner.meeting.watchdog import spawn, watch_parent
+from experiment_runner.processes.watchdog import spawn, watch_parent
 from glue.errors import ExperimentError
 
 Say = Callable[[str], None]
@@ -33,7 +33,7 @@ _MAX_DEATHS: Final = 3
 
 
 class Child(Protocol):
-    """A child process: a `subprocess.Popen`, or an `experiment_runner.meeting.warm.Fork`."""
+    """A child process: a `subprocess.Popen`, or an `experiment_runner.processes.warm.Fork`."""
 
     stdin: IO[bytes] | None
     returncode: int | Any
@@ -54,7 +54,7 @@ def start(module: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -
         ExperimentError: it cannot be started.
     """
     try:
-        return spawn("experiment_runner.meeting.children", [module, *arguments], pass_fds=pass_fds)
+        return spawn("experiment_runner.processes.children", [module, *arguments], pass_fds=pass_fds)
     except OSError as error:
         raise ExperimentError(f"cannot start {' '.join([module, *arguments])}: {error}") from error
 

@@ -1,6 +1,6 @@
 """Serve one agent or environment for a program that starts it as a child:
 
-    python -P -m experiment_runner.meeting.player_command ROLE NAME SETTINGS
+    python -P -m experiment_runner.executors.player_command ROLE NAME SETTINGS
 
 SETTINGS is JSON, see `arguments`. `glue-agent` and `glue-env` do the same for users.
 """
@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn
 
 import glue.doors.forks  # noqa: F401  # for the handlers that are set here
-from experiment_runner.meeting.rewards import FiniteRewards
+from experiment_runner.executors.rewards import FiniteRewards
 from glue.client.players import serve_agent, serve_environment
 from glue.console import LOG, leave_printing_to_others, say
 from glue.errors import GlueError, PeerFailed
@@ -24,7 +24,7 @@ from glue.options import Value
 from glue.plugins.loading import construct, find
 from glue.wire.messages import Role
 
-MODULE: Final = "experiment_runner.meeting.player_command"
+MODULE: Final = "experiment_runner.executors.player_command"
 """The module that serves a player in a separate process."""
 
 _TERMINATED: Final = 128 + signal.SIGTERM

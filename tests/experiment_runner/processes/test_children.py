@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.meeting.children import KeptAlive
+from experiment_runner.processes.children import KeptAlive
 from tests.system.runs import children
 
 

@@ -16,12 +16,12 @@ from dataclasses import replace
 from functools import partial
 from types import TracebackType
 
-from experiment_runner.meeting import player_command
-from experiment_runner.meeting.children import KeptAlive, Say
-from experiment_runner.meeting.hints import Hints
-from experiment_runner.meeting.players import HubOptions, Meeting, Note, players_inside
-from experiment_runner.meeting.scratch import SOCKET, scratch_folder
+from experiment_runner.executors import player_command
+from experiment_runner.executors.hints import Hints
+from experiment_runner.executors.players import HubOptions, Note, Placement, players_inside
 from experiment_runner.plan.plan import Plan, TrialSpec
+from experiment_runner.processes.children import KeptAlive, Say
+from experiment_runner.processes.scratch import SOCKET, scratch_folder
 from glue.client.experiment import connect, connect_over
 from glue.engine.experiment import Experiment
 from glue.hub.config import DEFAULT_HUB, Bind, HubConfig
@@ -35,15 +35,15 @@ from glue.wire.messages import Event, Role
 
 
 @contextmanager
-def listening(plan: Plan, meeting: Meeting, say: Say) -> Iterator[Meeting]:
-    """Listen for players from outside during a whole run; yield `meeting` with the open addresses.
+def listening(plan: Plan, placement: Placement, say: Say) -> Iterator[Placement]:
+    """Listen for players from outside during a whole run; yield `placement` with the open addresses.
 
     `say` shows, once in the run, which of them strangers can reach.
 
     Raises:
         ConfigError: an address is in use, or is not one of this machine.
     """
-    options = meeting.hub
+    options = placement.hub
     expected = options.hub is None and not (plan.agents and plan.environments)
     outside = _outside(options, expected)
     # Refuses addresses without keys that other machines can reach.
@@ -55,7 +55,7 @@ def listening(plan: Plan, meeting: Meeting, say: Say) -> Iterator[Meeting]:
         for bind in binds:
             if bind.warning:
                 say(bind.announcement(opened[bind.url].endpoint))
-        yield replace(meeting, opened=opened, opened_legacy=legacy)
+        yield replace(placement, opened=opened, opened_legacy=legacy)
 
 
 def _binds(options: HubOptions, expected: bool, roles: frozenset[Role]) -> tuple[Bind, ...]:
@@ -80,18 +80,18 @@ class OverHub:
     def __init__(
         self,
         spec: TrialSpec,
-        meeting: Meeting,
+        placement: Placement,
         say: Say,
         progress: Callable[[], int],
         note: Note | None,
         met: Callable[[str, str], None] | None,
     ) -> None:
         players = {Role.ENVIRONMENT: spec.environment, Role.AGENT: spec.agent}
-        self._inside = players_inside(spec, meeting)
+        self._inside = players_inside(spec, placement)
         self._named = {role: player for role, player in players.items() if player is not None}
         self._expected = frozenset(players.keys() - self._named.keys())
-        self._meeting = meeting
-        self._options = meeting.hub
+        self._placement = placement
+        self._options = placement.hub
         self._say = say
         self._note = note
         self._met = met
@@ -148,7 +148,7 @@ class OverHub:
                 player.options,
                 url,
                 options.session,
-                self._meeting.any_reward,
+                self._placement.any_reward,
                 options.key,
                 options.hub_key,
             )
@@ -162,16 +162,16 @@ class OverHub:
 
     def _start_hub(self, stack: ExitStack) -> tuple[str, InsideTransport, Hints]:
         """Start a hub; return its URL for our children, the experiment's transport, and the hints."""
-        options, meeting, expected = self._options, self._meeting, self._expected
+        options, placement, expected = self._options, self._placement, self._expected
         inside = f"ipc://{stack.enter_context(scratch_folder())}/{SOCKET}"
         # A named role is reserved for our own child: only the child can reach the inside address.
         binds = _binds(options, bool(expected), expected or frozenset({Role.OBSERVER}))
         config = HubConfig(bind=(inside, *binds), insecure=options.insecure)
-        self._hub = hub = stack.enter_context(Hub(config, opened=meeting.opened))
+        self._hub = hub = stack.enter_context(Hub(config, opened=placement.opened))
         if binds and options.keys is not None:
             stack.enter_context(renewed_on_hangup(hub, options.keys))
         legacy = {port: replace(port, roles=expected) for port in options.legacy}
-        opened_legacy = {legacy[port]: address for port, address in meeting.opened_legacy.items()}
+        opened_legacy = {legacy[port]: address for port, address in placement.opened_legacy.items()}
         ports = tuple(Gateway(hub, tuple(legacy.values()), self._say, opened=opened_legacy).ports)
         for port in ports:
             self._say(f"original RL-Glue programs join on {port}")

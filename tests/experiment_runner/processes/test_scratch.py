@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.meeting.scratch import scratch_folder
+from experiment_runner.processes.scratch import scratch_folder
 
 HOLD = """
 import sys
-from experiment_runner.meeting.scratch import scratch_folder
+from experiment_runner.processes.scratch import scratch_folder
 with scratch_folder() as folder:
     (folder / "hub").touch()
     print(folder, flush=True)

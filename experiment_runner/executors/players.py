@@ -1,7 +1,7 @@
 """Connect agent, environment and experiment: in this process, or over a hub.
 
 Players that a trial names are created here, as objects or as child processes; see
-`experiment_runner.meeting.over_hub` for those that are not in this process.
+`experiment_runner.executors.over_hub` for those that are not in this process.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.meeting.children import Say
-from experiment_runner.meeting.rewards import FiniteRewards
+from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.processes.children import Say
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ExperimentError
@@ -59,7 +59,7 @@ class HubOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class Meeting:
+class Placement:
     """Connection of agent and environment of a trial; it does not affect the results.
 
     Args:
@@ -86,7 +86,7 @@ class Meeting:
 
 def open_experiment(
     spec: TrialSpec,
-    meeting: Meeting,
+    placement: Placement,
     say: Say,
     progress: Callable[[], int],
     note: Note | None = None,
@@ -96,7 +96,7 @@ def open_experiment(
 
     Args:
         spec: the trial.
-        meeting: how the players are connected.
+        placement: how the players are connected.
         say: shows a line; may be called from any thread.
         progress: returns the number of finished episodes, to detect a player that is killed repeatedly
             without progress; may be called from any thread.
@@ -107,28 +107,28 @@ def open_experiment(
         ConfigError: a name, an option or an address is wrong, or an address is in use.
         ExperimentError: a child process cannot be started, or no player is named for a role that is inside.
     """
-    if meeting.in_process:
-        return _in_process(spec, meeting)
-    from experiment_runner.meeting.over_hub import OverHub  # slow to import
+    if placement.in_process:
+        return _in_process(spec, placement)
+    from experiment_runner.executors.over_hub import OverHub  # slow to import
 
-    return OverHub(spec, meeting, say, progress, note, met)
+    return OverHub(spec, placement, say, progress, note, met)
 
 
 @contextmanager
-def _in_process(spec: TrialSpec, meeting: Meeting) -> Iterator[Experiment]:
-    players = players_inside(spec, meeting)
+def _in_process(spec: TrialSpec, placement: Placement) -> Iterator[Experiment]:
+    players = players_inside(spec, placement)
     with local(players[Role.AGENT], players[Role.ENVIRONMENT]) as glue:
         yield glue
 
 
-def players_inside(spec: TrialSpec, meeting: Meeting) -> dict[Role, Any]:
+def players_inside(spec: TrialSpec, placement: Placement) -> dict[Role, Any]:
     """Return the players that are objects in this process."""
     players = {}
     for role, player in ((Role.AGENT, spec.agent), (Role.ENVIRONMENT, spec.environment)):
-        if role in meeting.inside:
+        if role in placement.inside:
             if player is None:
                 raise ExperimentError(f"name an {role}: none from outside can be inside the trial's process")
             players[role] = construct(find(role, player.name), player.options)
-    if Role.ENVIRONMENT in players and not meeting.any_reward:
+    if Role.ENVIRONMENT in players and not placement.any_reward:
         players[Role.ENVIRONMENT] = FiniteRewards(players[Role.ENVIRONMENT])
     return players

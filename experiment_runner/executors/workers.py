@@ -3,7 +3,7 @@
 A trial that crashes its process thus affects neither other trials nor the store. A worker receives its job
 and sends its reports over one socket:
 
-    python -P -m experiment_runner.meeting.children experiment_runner.executors.local DESCRIPTOR
+    python -P -m experiment_runner.processes.children experiment_runner.executors.workers DESCRIPTOR
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import FrameType, TracebackType
 from typing import Any, Final, NoReturn, Self
 
-from experiment_runner.executors.dispatch import HasTrial
+from experiment_runner.executors.dispatcher import HasTrial
 from experiment_runner.executors.interrupts import Interrupts, Terminated
 from experiment_runner.executors.job import (
     REPORTS,
@@ -29,7 +29,7 @@ from experiment_runner.executors.job import (
     run_job,
     unpacker,
 )
-from experiment_runner.meeting.children import (
+from experiment_runner.processes.children import (
     FAREWELL_SECONDS,
     HURRIED_SECONDS,
     Child,
@@ -38,15 +38,15 @@ from experiment_runner.meeting.children import (
     how_it_ended,
     start,
 )
-from experiment_runner.meeting.warm import Warm
+from experiment_runner.processes.warm import Warm
 from glue.errors import ExperimentError
 
-_MODULE: Final = "experiment_runner.executors.local"
+_MODULE: Final = "experiment_runner.executors.workers"
 _CHUNK: Final = 2**18
 
 
 class LocalExecutor:
-    """Worker processes; see `experiment_runner.executors.dispatch.Executor`.
+    """Worker processes; see `experiment_runner.executors.dispatcher.Executor`.
 
     Args:
         size: maximum number of concurrent trials.

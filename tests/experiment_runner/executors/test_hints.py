@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from experiment_runner.meeting.hints import Hints
+from experiment_runner.executors.hints import Hints
 from glue.wire.messages import Role
 
 BOTH = frozenset({Role.AGENT, Role.ENVIRONMENT})

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from experiment_runner.executors.resume import OtherRun, Remaining, create_run, remaining, resume_run
+from experiment_runner.executors.opening import OtherRun, Remaining, create_run, remaining, resume_run
 from experiment_runner.plan.file import dump_plan, load_plan
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.plan.provenance import program

@@ -11,8 +11,8 @@ import pytest
 
 from agents.baselines import SkeletonAgent
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
-from experiment_runner.meeting.players import BOTH, HubOptions, Meeting, open_experiment
-from experiment_runner.meeting.rewards import FiniteRewards
+from experiment_runner.executors.players import BOTH, HubOptions, Placement, open_experiment
+from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from glue.client.players import serve_agent, serve_environment
@@ -47,7 +47,7 @@ def test_hint_says_where_others_can_join(hub: HubOptions, hint: str) -> None:
 
     with (
         pytest.raises(Heard, match=f"(?m){hint}$"),
-        open_experiment(REMOTE, Meeting(hub=hub), say, lambda: 0),
+        open_experiment(REMOTE, Placement(hub=hub), say, lambda: 0),
     ):
         raise AssertionError("nobody was missing")
 
@@ -63,8 +63,8 @@ def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
                 serve_environment(MinesEnvironment(), found[1])
             raise Heard
 
-    meeting = Meeting(hub=HubOptions(bind=(LOCAL,)))
-    with pytest.raises(Heard), open_experiment(REMOTE, meeting, say, lambda: 0):
+    placement = Placement(hub=HubOptions(bind=(LOCAL,)))
+    with pytest.raises(Heard), open_experiment(REMOTE, placement, say, lambda: 0):
         raise AssertionError("nobody was missing")
     assert hub
 
@@ -108,8 +108,8 @@ def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
         TrialId("skeleton/Odd/0"), RoleSpec("skeleton"), environment, episodes=1, max_steps=0, seed=1
     )
     for any_reward in (False, True):
-        meeting = Meeting(BOTH if in_process else frozenset(), any_reward=any_reward)
-        with open_experiment(spec, meeting, lambda line: None, lambda: 0) as glue:
+        placement = Placement(BOTH if in_process else frozenset(), any_reward=any_reward)
+        with open_experiment(spec, placement, lambda line: None, lambda: 0) as glue:
             glue.rl_init(1)
             if any_reward:
                 glue.rl_episode(10)
@@ -144,8 +144,8 @@ def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
             serve_agent(Leaving(), url)
 
     spec = replace(REMOTE, environment=RoleSpec("skeleton"))
-    meeting = Meeting(hub=HubOptions(bind=(LOCAL,)))
-    with open_experiment(spec, meeting, say, lambda: 0) as glue:
+    placement = Placement(hub=HubOptions(bind=(LOCAL,)))
+    with open_experiment(spec, placement, say, lambda: 0) as glue:
         glue.rl_init(1)
         with pytest.raises(PeerLost):
             glue.rl_episode(9)
