@@ -1,7 +1,7 @@
 """OpenEnv, both ways: docs/openenv.md.
 
-    glue-env openenv:http://127.0.0.1:8000     # an OpenEnv server as an environment here
-    glue-env mario --openenv 127.0.0.1:8000    # an environment of ours for OpenEnv's clients
+glue-env openenv:http://127.0.0.1:8000     # an OpenEnv server as an environment here
+glue-env mario --openenv 127.0.0.1:8000    # an environment of ours for OpenEnv's clients
 """
 
 from __future__ import annotations

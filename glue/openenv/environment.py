@@ -157,7 +157,9 @@ def environment_class(url: str) -> type[OpenEnvEnvironment]:
     """
     parts = urlsplit(url)
     if parts.scheme not in ("http", "https") or not parts.hostname:
-        raise ConfigError(f"an OpenEnv server is named by its URL, openenv:http://127.0.0.1:8000, not {url!r:.80}")
+        raise ConfigError(
+            f"an OpenEnv server is named by its URL, openenv:http://127.0.0.1:8000, not {url!r:.80}"
+        )
     server = url.rstrip("/")
     about = f"The OpenEnv server at {server}, served to RL-Glue agents (docs/openenv.md)."
     return type(f"openenv-{parts.netloc}", (OpenEnvEnvironment,), {"url": server, "__doc__": about})
@@ -191,5 +193,7 @@ def _schemas(url: str, timeout: float) -> dict[str, Any]:
     except (ValueError, RecursionError):
         found = None
     if len(text) > _MAX_SCHEMA or not isinstance(found, dict):
-        raise ConfigError(f"{url}/schema is not the JSON of at most {_MAX_SCHEMA} bytes that OpenEnv describes")
+        raise ConfigError(
+            f"{url}/schema is not the JSON of at most {_MAX_SCHEMA} bytes that OpenEnv describes"
+        )
     return found

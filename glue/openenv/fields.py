@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeGuard
 
 import numpy as np
 from gymnasium import spaces
@@ -27,6 +27,7 @@ from glue.gym.leaves import INT32, SpaceLike
 _MAX_DEPTH: Final = 8
 _MAX_FIELDS: Final = 256
 _MAX_NUMBERS: Final = 2**20
+_MAX_FLOAT: Final = float(np.finfo(np.float64).max)
 _ENVELOPE: Final = ("metadata", "done", "reward")
 """Properties of OpenEnv's base classes: beside the observation in a message, or not the environment's own."""
 
@@ -61,7 +62,9 @@ def read_schema(schema: Any, max_text: int) -> Field:
         raise ConfigError("the schema has no fields: its actions or observations are not values")
     field = _Schemas(schema.get("$defs"), max_text).object(own, 0)
     if field.size > _MAX_NUMBERS:
-        raise ConfigError(f"the schema describes {field.size} numbers and bytes; at most {_MAX_NUMBERS} are read")
+        raise ConfigError(
+            f"the schema describes {field.size} numbers and bytes; at most {_MAX_NUMBERS} are read"
+        )
     return field
 
 
@@ -95,12 +98,16 @@ class _Schemas:
             return _integer(schema) or _json(self._max_text)
         if kind == "number":
             return _number(schema)
-        return _choice([False, True]) if kind == "boolean" else _string(self._max_text) if kind == "string" else (
-            _json(self._max_text)
+        return (
+            _choice([False, True])
+            if kind == "boolean"
+            else _string(self._max_text)
+            if kind == "string"
+            else (_json(self._max_text))
         )
 
     def _array(self, schema: Mapping[str, Any], depth: int) -> Field | None:
-        """Return the field of an array with a fixed number of items; None if that is not stated, or too large."""
+        """Return the field of an array with a fixed number of items; None if it is not stated or large."""
         count, parts = schema.get("minItems"), schema.get("prefixItems")
         if type(count) is not int or count != schema.get("maxItems") or not 0 < count <= _MAX_NUMBERS:
             return None
@@ -137,7 +144,9 @@ def _tuple(fields: Sequence[Field]) -> Field:
     def write(value: Any) -> list[Any]:
         return [field.write(part) for field, part in zip(fields, value, strict=True)]
 
-    return Field(spaces.Tuple([field.space for field in fields]), read, write, sum(one.size for one in fields))
+    return Field(
+        spaces.Tuple([field.space for field in fields]), read, write, sum(one.size for one in fields)
+    )
 
 
 def _within(name: str | int, convert: Callable[[Any], Any], value: Any) -> Any:
@@ -184,7 +193,7 @@ def _bound(schema: Mapping[str, Any], kind: str, beside: int, default: float) ->
     return float(exclusive) + beside if _is_number(exclusive) else default
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Any) -> TypeGuard[float]:
     return type(value) in (int, float) and abs(value) < 2**53
 
 
@@ -207,11 +216,13 @@ def _array_of(value: Any, shape: tuple[int, ...], kind: type) -> Any:
 
 
 def _checked(value: Any, kind: type) -> Any:
-    if type(value) is kind and kind is int and INT32.min <= value <= INT32.max:
+    if kind is int and type(value) is int and INT32.min <= value <= INT32.max:
         return value
-    if kind is float and type(value) in (int, float) and abs(value) <= np.finfo(np.float64).max:
+    if kind is float and type(value) in (int, float) and abs(value) <= _MAX_FLOAT:
         return float(value)
-    raise SimulatorError(f"expected {'a whole number of 32 bits' if kind is int else 'a number'}, not {value!r:.80}")
+    raise SimulatorError(
+        f"expected {'a whole number of 32 bits' if kind is int else 'a number'}, not {value!r:.80}"
+    )
 
 
 def _string(max_text: int) -> Field:

@@ -1,14 +1,16 @@
 """An environment for OpenEnv's clients: `glue-env mario --openenv 127.0.0.1:8000`.
 
-The routes and messages are OpenEnv's own, by its server; each connection plays an environment of its own. What a
-task spec describes becomes typed fields: a value of the space of `glue.gym.spaces` as JSON. Chars are a string,
-a character for each byte (Latin-1). A space that is not a Dict is a single field, `action` or `observation`.
+The routes and messages are OpenEnv's own, by its server; each connection plays an environment of its own.
+What a task spec describes becomes typed fields: a value of the space of `glue.gym.spaces` as JSON. Chars are
+a string, a character for each byte (Latin-1). A space that is not a Dict is one field, `action` or
+`observation`.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import socket
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Annotated, Any, Final
 from urllib.parse import urlsplit
@@ -53,11 +55,12 @@ def serve(make: Callable[[], Environment], name: str, address: str, *, insecure:
     """
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
-        raise ConfigError(f"the address of --openenv is HOST:PORT, as 127.0.0.1:8000, not {address!r:.80}")
+        raise ConfigError(f"an address for OpenEnv is HOST:PORT, as in 127.0.0.1:8000, not {address!r:.80}")
     if not insecure and not is_local(f"tcp://{address}"):
         raise ConfigError(
-            f"{address} can be reached from other machines, and OpenEnv knows no keys: bind 127.0.0.1:{port}, or "
-            "set --insecure if the network is your own"
+            f"{address} can be reached from other machines, and OpenEnv has no keys: bind 127.0.0.1:{port}, "
+            "or set insecure if the network is your own",
+            settings=("insecure",),
         )
     app = application(make, name, any_host=insecure)
     config = uvicorn.Config(
@@ -69,8 +72,14 @@ def serve(make: Callable[[], Environment], name: str, address: str, *, insecure:
         limit_concurrency=4 * MAX_SESSIONS,
         timeout_graceful_shutdown=1,
     )
-    say(f"serving {name} to OpenEnv's clients at http://{address}")
-    uvicorn.Server(config).run()
+    with socket.create_server((config.host, config.port), family=_family(config.host)) as listening:
+        port = listening.getsockname()[1]
+        say(f"serving {name} to OpenEnv's clients at http://{host}:{port}")
+        uvicorn.Server(config).run([listening])
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
 
 
 def application(
@@ -81,8 +90,8 @@ def application(
     Args:
         make: see `serve`.
         name: see `serve`.
-        any_host: whether requests may name any host; otherwise only loopback, so that pages of other sites that
-            a browser shows cannot play.
+        any_host: whether requests may name any host; otherwise only loopback, so that a page of another
+            site in a browser cannot play.
         idle: seconds after which a connection that is in no episode is closed.
 
     Raises:
@@ -111,7 +120,7 @@ class _Models:
         self.observation = _model(f"{name}Observation", Observation, observations, "observation")
         models = self
 
-        class Served(OpenEnvironment):  # type: ignore[misc, type-arg]
+        class Served(OpenEnvironment):  # type: ignore[misc]
             SUPPORTS_CONCURRENT_SESSIONS = True
 
             def __init__(self) -> None:
@@ -168,10 +177,12 @@ def _type(space: SpaceLike, name: str) -> Any:
         return tuple[tuple(_whole(start, start + n - 1) for start, n in ends)]  # type: ignore[misc]
     if _is_chars(space):
         return str
+    if isinstance(space, spaces.Sequence):
+        return list[_type(space.feature_space, name)]  # type: ignore[misc]
     kind: Any = float if np.dtype(space.dtype).kind == "f" else int
-    for length in reversed(space.shape or ()):
+    for length in reversed(space.shape):
         kind = Annotated[list[kind], Field(min_length=length, max_length=length)]
-    return list[kind] if isinstance(space, spaces.Sequence) else kind
+    return kind
 
 
 def _whole(low: Any, high: Any) -> Any:
@@ -206,8 +217,8 @@ def _from_json(space: SpaceLike, value: Any) -> Any:
 class _Guard:
     """Refuses requests of other sites, and closes connections that are in no episode for too long.
 
-    The server closes a connection whose client no longer answers pings. A client that thinks answers them, and is
-    not hurried.
+    The server closes a connection whose client no longer answers pings. A client that thinks answers them,
+    and is not hurried.
     """
 
     def __init__(self, app: Any, any_host: bool, idle: float) -> None:
