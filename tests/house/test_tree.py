@@ -75,7 +75,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "experiment_runner/view/starting.py",
         "experiment_runner/slurm/batch.py",
         "experiment_runner/study/generalisation/imitation.py",
-        "glue/conform/hub/mirror.py",
+        "glue/conform/clients/mirror.py",
         "glue/plugins/naming.py",
         "glue/rlglue/package.py",
     ],
@@ -89,7 +89,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "experiment_runner/competition/programs.py",  # passes it on
             "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
-            "glue/conform/hub/clients.py",  # passes it on
+            "glue/conform/clients/process.py",  # passes it on
         ),
     ),
 }

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from glue.client.experiment import connect
-from glue.conform.peers import checking
+from glue.conform.hubs.rules import RULES
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
@@ -279,8 +279,8 @@ def test_broken_hub_is_found_by_name(monkeypatch: pytest.MonkeyPatch, broken: st
 def test_hub_that_says_nothing_is_found_when_the_wait_is_over(
     monkeypatch: pytest.MonkeyPatch, broken: type[Spoiled], rule: HubRule
 ) -> None:
-    only = [each for each in checking.RULES if each.text == rule]
-    monkeypatch.setattr(checking, "RULES", only)
+    only = [each for each in RULES if each.text == rule]
+    monkeypatch.setattr("glue.conform.hubs.judge.RULES", only)
     assert caught(monkeypatch, broken, wait=0.5).rule is rule
 
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from glue.client.libzmq import Context, DealerTransport
-from glue.conform.hub.comparing import shown
-from glue.conform.hub.rules import Broken
+from glue.conform.messages import shown
+from glue.conform.rules import Broken
 from glue.doors import chance, clock
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.hub.sessions import INSTANCE_SIZE

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from glue.conform.hub.rules import Broken
+from glue.conform.rules import Broken
 from glue.doors import clock, network
 from glue.errors import RemoteProtocolError
 from glue.wire import zmtp
