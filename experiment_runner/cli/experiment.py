@@ -23,8 +23,9 @@ from experiment_runner.cli.planning import (
     role_sweeps,
 )
 from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PLAYERS
 from experiment_runner.plan.metrics import MetricsPlan
-from experiment_runner.plan.plan import BUDGETS, COUNTS, PLAYERS, Plan, RoleSweep, budget, describe
+from experiment_runner.plan.plan import Plan, RoleSweep, budget, describe
 from experiment_runner.view.starting import check_view
 from glue import __version__
 from glue.cli.shared import (
@@ -33,7 +34,6 @@ from glue.cli.shared import (
     WAIT_VARIABLE,
     keys_option,
     legacy_port_option,
-    run,
 )
 from glue.errors import ConfigError
 from glue.hub.config import (
@@ -432,12 +432,3 @@ def _hub_options(options: Options) -> HubOptions:
 def _from_variable(option: str) -> bool:
     """Return whether an option was set by an environment variable."""
     return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
-
-
-def main() -> None:
-    """Run `glue-experiment`."""
-    run(experiment)
-
-
-if __name__ == "__main__":
-    main()

@@ -19,7 +19,6 @@ from experiment_runner.cli.planning import own_directory
 from experiment_runner.executors.settings import Backend
 from experiment_runner.plan.plan import RoleSpec
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError
 from glue.plugins.naming import complete_names
@@ -298,12 +297,3 @@ def _read(path: Path) -> dict[str, Any]:
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise ConfigError(f"{path} is not a result of glue-generalise: {error}") from None
     return scores
-
-
-def main() -> None:
-    """Run `glue-generalise`."""
-    run(generalise)
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import click
 
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
@@ -189,12 +188,3 @@ def play(
             terminal = step.terminal
             show(step.observation, step.reward, terminal)
     return glue.rl_return(), glue.rl_num_steps()
-
-
-def main() -> None:
-    """Run `glue-watch`."""
-    run(watch)
-
-
-if __name__ == "__main__":
-    main()

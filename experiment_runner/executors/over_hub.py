@@ -125,7 +125,7 @@ class OverHub:
         self._hints = hints
         session = options.session
         if transport is not None and self._hub is not None:
-            steps = partial(self._hub.switchboard.num_steps, session)
+            steps = partial(self._hub.sessions.num_steps, session)
             glue = connect_over(transport, session, on_notice=self._notice, num_steps=steps)
         else:
             glue = connect(
@@ -201,5 +201,5 @@ class OverHub:
         """Return whether a player offers to be seeded; True if that is not known."""
         if self._hub is None:
             return True
-        offered = self._hub.switchboard.capabilities(self._options.session, role)
+        offered = self._hub.sessions.capabilities(self._options.session, role)
         return offered is None or "seed" in offered

@@ -8,7 +8,9 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, get_args, get_type_hints
+
+import msgspec
 
 from glue.errors import ExperimentError
 from glue.files import read_regular
@@ -120,8 +122,6 @@ def converted(
         SettingError: it is no table, has an unknown key, lacks one, or has a value that is not allowed or a
             string that is empty or cannot be printed.
     """
-    import msgspec  # slow to import
-
     if not isinstance(table, dict):
         raise SettingError(f"{'.'.join(keys)} must be a table, as in: [{'.'.join(keys)}]", *keys)
     check_keys(table, [field.name for field in fields(kind) if field.name not in given], what, *keys)  # type: ignore[arg-type]
@@ -133,7 +133,7 @@ def converted(
     except SettingError as error:
         raise error.inside(*keys) from None
     except msgspec.ValidationError as error:
-        raise _wrong_value(str(error), table, what).inside(*keys) from None
+        raise _wrong_value(str(error), table, kind, what).inside(*keys) from None
 
 
 def _path_from(base: Path, path: object) -> Path:
@@ -142,7 +142,7 @@ def _path_from(base: Path, path: object) -> Path:
     return base / path
 
 
-def _wrong_value(message: str, table: Mapping[str, Any], what: str) -> SettingError:
+def _wrong_value(message: str, table: Mapping[str, Any], kind: type, what: str) -> SettingError:
     """Return the error for a message of msgspec, such as "Expected `int` >= 2 - at `$.pids`"."""
     message, _, place = message.partition(" - at `$")
     path = re.findall(r"\.(\w+)|\[(\d+)\]", place)
@@ -152,22 +152,18 @@ def _wrong_value(message: str, table: Mapping[str, Any], what: str) -> SettingEr
     value: Any = table
     for key, index in path:
         value = value[key] if key else value[int(index)]
+    if message.startswith("Invalid enum value"):
+        near = did_you_mean(value, _choices(get_type_hints(kind)[keys[0]]))
+        return SettingError(f"{keys[0]} cannot be {shown(value)}{near}", *keys)
     expected = message.partition(", got")[0].removeprefix("Expected ")
     for word, ours in _WORDS.items():
         expected = expected.replace(word, ours)
     return SettingError(f"{place[1:-1]} must be {expected}, not {shown(value)}", *keys)
 
 
-def whole(value: object, allowed: range, what: str, *keys: str) -> int:
-    """Return a value, if it is a whole number from a range.
-
-    Raises:
-        SettingError: it is not.
-    """
-    if type(value) is not int or value not in allowed:
-        span = f"from {allowed[0]} to {allowed[-1]}"
-        raise SettingError(f"{what} must be a whole number {span}, not {shown(value)}", *keys)
-    return value
+def _choices(hint: Any) -> list[str]:
+    """Return the strings of the `Literal` that a type is, or is a list of."""
+    return [one for part in get_args(hint) for one in ([part] if isinstance(part, str) else _choices(part))]
 
 
 def is_option(value: object) -> bool:
