@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import socket
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Annotated, Any, Final
 from urllib.parse import urlsplit
@@ -51,7 +50,7 @@ def serve(make: Callable[[], Environment], name: str, address: str, *, insecure:
 
     Raises:
         ConfigError: the address is not of that form, or reachable by others without `insecure`.
-        OSError: it cannot be bound.
+        SystemExit: it cannot be bound, which is printed.
     """
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or int(port) > 65535:
@@ -72,14 +71,9 @@ def serve(make: Callable[[], Environment], name: str, address: str, *, insecure:
         limit_concurrency=4 * MAX_SESSIONS,
         timeout_graceful_shutdown=1,
     )
-    with socket.create_server((config.host, config.port), family=_family(config.host)) as listening:
-        port = listening.getsockname()[1]
-        say(f"serving {name} to OpenEnv's clients at http://{host}:{port}")
+    with config.bind_socket() as listening:
+        say(f"serving {name} to OpenEnv's clients at http://{host}:{listening.getsockname()[1]}")
         uvicorn.Server(config).run([listening])
-
-
-def _family(host: str) -> socket.AddressFamily:
-    return socket.AF_INET6 if ":" in host else socket.AF_INET
 
 
 def application(
