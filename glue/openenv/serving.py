@@ -72,6 +72,7 @@ def serve(make: Callable[[], Environment], name: str, address: str, *, insecure:
         timeout_graceful_shutdown=1,
     )
     with config.bind_socket() as listening:
+        listening.listen()  # Who reads the line may connect at once.
         say(f"serving {name} to OpenEnv's clients at http://{host}:{listening.getsockname()[1]}")
         uvicorn.Server(config).run([listening])
 

@@ -260,7 +260,7 @@ def test_the_page_is_true(tmp_path: Path) -> None:
 
 
 def test_command_serves_until_it_is_interrupted() -> None:
-    command = [sys.executable, "-m", "glue_rl", "env", "mines", "--openenv", "127.0.0.1:0"]
+    command = [sys.executable, "-m", "glue_rl", "environment", "mines", "--openenv", "127.0.0.1:0"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         (url,) = next(found for line in process.stderr if (found := re.findall(r"http://\S+", line)))
