@@ -42,11 +42,13 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "scipy": ["experiment_runner/analysis/stats.py"],
     "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
-    "gymnasium": ["glue/gym/*", "env_server/gym/*", "env_server/datasets/*"],
+    "gymnasium": ["glue/gym/*", "glue/openenv/*", "env_server/gym/*", "env_server/datasets/*"],
     "stable_baselines3": ["glue/gym/sb3.py"],
     "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*"],
-    "uvicorn": ["experiment_runner/view/server.py"],
+    "openenv": ["glue/openenv/*"],
+    "pydantic": ["glue/openenv/serving.py"],
+    "uvicorn": ["glue/openenv/serving.py", "experiment_runner/view/server.py"],
     # Peers and files are not trusted.
     **dict.fromkeys(("pickle", "marshal", "shelve", "eval()", "exec()", "compile()"), NOWHERE),
     # Every random choice comes from a generator that was handed over.
