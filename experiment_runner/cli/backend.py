@@ -11,7 +11,7 @@ from experiment_runner.executors.settings import Backend
 from glue.errors import ConfigError
 
 if TYPE_CHECKING:
-    from experiment_runner.executors.run import RunConfig
+    from experiment_runner.executors.settings import RunConfig
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 

@@ -49,7 +49,7 @@ from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
-    from experiment_runner.executors.players import HubOptions
+    from experiment_runner.executors.settings import HubOptions
 
 _GROUPS: Final = {
     "Episodes and their results": (
@@ -312,8 +312,7 @@ def _experiment(options: Options, results: TextIO | None) -> int:
     """Carry out the command; `results` receives JSON lines, None for a table on standard output."""
     from experiment_runner.cli.arrays import carry_out_array
     from experiment_runner.cli.carrying_out import carry_out, carry_out_search, check_players, check_recording
-    from experiment_runner.executors.players import Placement
-    from experiment_runner.executors.run import RunConfig
+    from experiment_runner.executors.settings import Placement, RunConfig
 
     plan, given = _planned(options)
     inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
@@ -395,7 +394,7 @@ def _hub_options(options: Options) -> HubOptions:
     Raises:
         ConfigError: options contradict each other, or an address is malformed.
     """
-    from experiment_runner.executors.players import HubOptions
+    from experiment_runner.executors.settings import HubOptions
 
     in_process = options.in_process or PLAYERS.keys() <= {*options.inside}
     isolated = in_process or options.workers or options.engine != Backend.LOCAL

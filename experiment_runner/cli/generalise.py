@@ -150,8 +150,8 @@ def generalise(
     """
     if context.invoked_subcommand:
         return 0
-    from experiment_runner.executors.players import BOTH, Placement
-    from experiment_runner.executors.run import RunConfig, run_trials
+    from experiment_runner.executors.run import run_trials
+    from experiment_runner.executors.settings import BOTH, Placement, RunConfig
     from experiment_runner.report.progress import Progress
     from experiment_runner.store.database import reported
     from experiment_runner.study.generalisation.benchmark import Benchmark, document, open_benchmark

@@ -20,7 +20,7 @@ from env_server.replay.episodes import open_recording, recorded_moments
 from experiment_runner.competition.board.standings import standings
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.verify import verify
-from experiment_runner.executors.opening import create_run, resume_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_text, overview
 from experiment_runner.store.export import episode_table
@@ -121,8 +121,7 @@ def merge_run(directory: Path) -> None:
 
 
 def resume(directory: Path) -> None:
-    store, _ = resume_run(directory, PLAN)
-    store.close()
+    open_run(directory, PLAN).close()
 
 
 @pytest.mark.parametrize("thing", THINGS)
@@ -132,9 +131,9 @@ def resume(directory: Path) -> None:
 )
 def test_a_run(tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
     directory, victim = tmp_path / "runs/run", tmp_path / "victim"
-    with create_run(directory, PLAN) as store:
+    with open_run(directory, PLAN) as store:
         store.record(store.trials()[0].spec.id, EpisodeResult(1, 1.0, 2, True, 0.1))
-    create_run(tmp_path / "runs/sound", PLAN).close()
+    open_run(tmp_path / "runs/sound", PLAN).close()
     lay(directory / name, thing, victim)
     lock_holder(directory)
     meetings_in(directory)
@@ -158,7 +157,7 @@ def test_the_database_of_another_run_is_not_written_to(
     tmp_path: Path, linked: Callable[[Path, Path], None]
 ) -> None:
     for name in ("other", "run"):
-        create_run(tmp_path / name, PLAN).close()
+        open_run(tmp_path / name, PLAN).close()
     before = (tmp_path / "other/results.sqlite").read_bytes()
     (tmp_path / "run/results.sqlite").unlink()
     linked(tmp_path / "run/results.sqlite", tmp_path / "other/results.sqlite")
@@ -168,7 +167,7 @@ def test_the_database_of_another_run_is_not_written_to(
 
 
 def test_a_folder_of_a_run_that_leads_elsewhere_is_not_written_to(tmp_path: Path) -> None:
-    create_run(tmp_path / "run", PLAN).close()
+    open_run(tmp_path / "run", PLAN).close()
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "run/records").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(GlueError, match="records is a symbolic link, which no run has: remove it"):
