@@ -167,9 +167,9 @@ def _become(
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     warnings.filterwarnings("ignore", category=RuntimeWarning, module="runpy")  # it was imported already
-    sys.argv = [module, *arguments]
+    sys.argv = ["glue_rl", module, *arguments]
     try:
-        runpy.run_module(module, run_name="__main__", alter_sys=True)
+        runpy.run_module("glue_rl", run_name="__main__", alter_sys=True)
         code: object = 0
     except SystemExit as ending:
         code = ending.code

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import click
 
 from glue.cli.players import Extra, player_command
-from glue.cli.shared import run
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
@@ -36,12 +35,3 @@ environment: click.Group = player_command(
         _rendered,
     ),
 )
-
-
-def main() -> None:
-    """Run `glue-env`."""
-    run(environment)
-
-
-if __name__ == "__main__":
-    main()

@@ -25,7 +25,8 @@ from experiment_runner.executors.opening import (
 from experiment_runner.executors.recording import recorded
 from experiment_runner.executors.run import run_trials
 from experiment_runner.executors.settings import HubOptions, RunConfig
-from experiment_runner.plan.plan import PLAYERS, Plan, class_files
+from experiment_runner.plan.limits import PLAYERS
+from experiment_runner.plan.plan import Plan, class_files
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.report.tables import summarize, tabulate, terminal_width
 from experiment_runner.store.layout import clear

@@ -16,7 +16,6 @@ import click
 from experiment_runner.cli.out import naming_out
 from experiment_runner.view.starting import check_view, viewed
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 from glue.files import read_text
@@ -58,6 +57,7 @@ def compete() -> None:
       glue-compete verify runs/spring --sign organiser.key_secret
       glue-compete board runs/spring --format html > spring.html
     """
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
 
 
 @compete.command()
@@ -304,16 +304,6 @@ def _check_signature(directory: Path, public: bytes) -> None:
 
 
 def _load(file: Path) -> Competition:
-    from experiment_runner.competition.file import load_competition
+    from experiment_runner.competition.settings import load_competition
 
     return load_competition(file)
-
-
-def main() -> None:
-    """Run the command."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
-    run(compete)
-
-
-if __name__ == "__main__":
-    main()

@@ -16,10 +16,9 @@ import click
 from experiment_runner.cli.backend import backend_options, check_backend
 from experiment_runner.cli.out import naming_out
 from experiment_runner.cli.planning import own_directory
-from experiment_runner.executors.settings import Backend
+from experiment_runner.executors.settings import BOTH, Backend, Placement, RunConfig
 from experiment_runner.plan.plan import RoleSpec
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError
 from glue.plugins.naming import complete_names
@@ -151,7 +150,6 @@ def generalise(
     if context.invoked_subcommand:
         return 0
     from experiment_runner.executors.run import run_trials
-    from experiment_runner.executors.settings import BOTH, Placement, RunConfig
     from experiment_runner.report.progress import Progress
     from experiment_runner.store.database import reported
     from experiment_runner.study.generalisation.benchmark import Benchmark, document, open_benchmark
@@ -298,12 +296,3 @@ def _read(path: Path) -> dict[str, Any]:
     except (OSError, EOFError, zlib.error, ValueError) as error:
         raise ConfigError(f"{path} is not a result of glue-generalise: {error}") from None
     return scores
-
-
-def main() -> None:
-    """Run `glue-generalise`."""
-    run(generalise)
-
-
-if __name__ == "__main__":
-    main()

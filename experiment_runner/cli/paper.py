@@ -13,7 +13,6 @@ from experiment_runner.cli.out import naming_out
 from experiment_runner.plan.plan import Plan, check_options
 from experiment_runner.study.paper.experiments import ALL, EPISODES, EXPERIMENTS, SOAR, TRIALS, plan_of
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.plugins.loading import find
 from glue.wire.messages import Role
@@ -119,12 +118,3 @@ def _run(directory: Path, plan: Plan, workers: int) -> int:
         with naming_out():
             store = stack.enter_context(open_run(directory, plan))
         return run_trials(store, config, Progress(color=has_color(sys.stderr)), again="the same command")
-
-
-def main() -> None:
-    """Run `glue-paper`."""
-    run(paper)
-
-
-if __name__ == "__main__":
-    main()

@@ -15,7 +15,8 @@ import click
 
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.ids import REMOTE
-from experiment_runner.plan.plan import BUDGETS, Plan, RoleSweep, absolute, budget, check_options, class_files
+from experiment_runner.plan.limits import BUDGETS
+from experiment_runner.plan.plan import Plan, RoleSweep, absolute, budget, check_options, class_files
 from experiment_runner.plan.toml import naming_lines, read
 from glue.errors import ConfigError, ExperimentError
 from glue.options import parse_assignments

@@ -14,7 +14,6 @@ from urllib.parse import urlsplit
 import click
 
 from glue import __version__
-from glue.cli.shared import run
 from glue.errors import ConfigError
 
 _LOOPBACK: Final = "127.0.0.1"
@@ -71,6 +70,7 @@ def view(
       glue-view runs/mine /data/mario --no-browser
       glue-view --port 9000 --proxy https://lab.example/runs
     """
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     for directory in directories:
         if not directory.is_dir():
             raise ConfigError(f"there is no folder {directory}")
@@ -116,13 +116,3 @@ def show(
 def _has_display() -> bool:
     """Return whether a browser can open a window; otherwise Python would run a text browser."""
     return sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
-
-
-def main() -> None:
-    """Run `glue-view`."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
-    run(view)
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import click
 
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
@@ -187,12 +186,3 @@ def play(
             sleep(pause)
             show(step.observation, step.reward, step.terminal)
     return glue.rl_return(), glue.rl_num_steps()
-
-
-def main() -> None:
-    """Run `glue-watch`."""
-    run(watch)
-
-
-if __name__ == "__main__":
-    main()

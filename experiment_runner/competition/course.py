@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiment_runner.competition.file import load_competition
 from experiment_runner.competition.records.journal import ADD, ENTER, EXCLUDE, RERUN, Act, act, acts_of
-from experiment_runner.competition.settings import Competition
+from experiment_runner.competition.settings import Competition, load_competition
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.layout import COMPETITION_FILE

@@ -43,7 +43,7 @@ class _TooMuch(GlueError):
 
 
 class InsideEnvironment:
-    """An environment that takes part in a session of a hub in this process; a route of its switchboard.
+    """An environment that takes part in a session of a hub in this process; a channel of its sessions.
 
     Args:
         hub: the hub, not yet running.
@@ -190,4 +190,4 @@ class InsideEnvironment:
         )
 
     def _answer(self, message: Message) -> None:
-        self._hub.switchboard.receive(self, message, time.monotonic())
+        self._hub.sessions.receive(self, message, time.monotonic())

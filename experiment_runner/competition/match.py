@@ -179,7 +179,7 @@ class _Playing:
                 bind = Bind(launch.hub, frozenset({Role.AGENT}), frozenset({session}))
             else:
                 bind = gate_for(match.entrant, match.gate)
-            config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits.time)
+            config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits)
             with ExitStack() as meeting:
                 hub = meeting.enter_context(Hub(config, clock=self._clock))
                 inside = InsideEnvironment(
@@ -256,7 +256,7 @@ class _Playing:
 
     def _watch(self, running: Running, glue: RemoteExperiment) -> None:
         """Watch, in a separate thread, for the end of the entrant's program, and for one that never joins."""
-        limit = self._match.limits.time.start_seconds
+        limit = self._match.limits.start_seconds
         began = self._clock()
         while not self._over.is_set():
             ended = running.wait(_LOOK_SECONDS)

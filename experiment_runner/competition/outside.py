@@ -14,8 +14,7 @@ from experiment_runner.competition.starting import SOCKET, Launch
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import write_flushed
 from glue.errors import ConfigError
-from glue.hub.config import Bind
-from glue.hub.keys import Keys, Permit
+from glue.hub.config import Bind, Keys, Permit
 from glue.keys.allowed import HUB
 from glue.keys.certificates import SECRET, encode, read_pair, read_public
 from glue.wire.messages import Role

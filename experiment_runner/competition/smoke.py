@@ -87,7 +87,7 @@ def _checked(
     competition: Competition, entrant: Entrant, folder: Path, run: str, executor: LocalExecutor
 ) -> tuple[str | None, list[str]]:
     """Let an entrant play every task; return the first problem, if any, and the lines of its report."""
-    time = competition.limits.time
+    time = competition.limits
     ends = (
         f"Limits of each trial: {time.start_seconds:g} s to connect, and as much to initialise; "
         f"{time.step_seconds:g} s per answer, and a bank of {time.bank_seconds:g} s for longer ones; "

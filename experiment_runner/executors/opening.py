@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from experiment_runner.plan.file import dump_plan, load_plan
-from experiment_runner.plan.plan import BUDGETS, Plan, RoleSpec, RoleSweep, TrialSpec, absolute, differences
+from experiment_runner.plan.limits import BUDGETS
+from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, TrialSpec, absolute, differences
 from experiment_runner.plan.provenance import about, program
 from experiment_runner.plan.user_files import UserFile, changed_files, user_files
 from experiment_runner.store.database import holds_run, reported

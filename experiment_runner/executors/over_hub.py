@@ -100,7 +100,7 @@ def over_hub(
             say(f"{role} {name}" if event is Event.SLOW else f"{role} {name} {event}")
         elif role in expected:
             label, opens, program = name.removesuffix(")").rpartition(" (")  # in the hub's format
-            offered = None if hub is None else hub.switchboard.capabilities(session, role)
+            offered = None if hub is None else hub.sessions.capabilities(session, role)
             seeded = offered is None or "seed" in offered
             send(Joined(role, label if opens else name, program if opens else None, seeded))
         if role in expected and event is Event.LOST:
@@ -122,7 +122,7 @@ def over_hub(
             )
         else:
             hub, url, hints = _start_hub(stack, placement, expected, named.keys(), say)
-            steps = partial(hub.switchboard.num_steps, session)
+            steps = partial(hub.sessions.num_steps, session)
             transport = InsideTransport(hub, inside, session)
             glue = connect_over(transport, session, on_notice=notice, num_steps=steps)
         stack.enter_context(glue)

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from types import FrameType
 from typing import Any, Final, NoReturn
 
-import glue.doors.forks  # noqa: F401  # for the handlers that are set here
+import glue.system.forks  # noqa: F401  # for the handlers that are set here
 from experiment_runner.executors.rewards import FiniteRewards
 from glue.client.players import serve_agent, serve_environment
 from glue.console import LOG, leave_printing_to_others, say

@@ -105,7 +105,7 @@ def _search(
     say: Callable[[str], None],
 ) -> _Chosen:
     """Return an agent with the options of its best configuration."""
-    space = tune.space.get(sweep.label)
+    space = tune.agents.get(sweep.label)
     if space is None:
         return _Chosen(sweep, "")
     sampler = sampler_of(tune, space, trial_seed(plan.seed, sweep.label))

@@ -16,7 +16,6 @@ from typing import Final
 
 from glue.errors import ConfigError
 
-_MODULE: Final = "experiment_runner.cli.view"
 _STANDARD_STREAMS: Final = (0, 1, 2)
 
 
@@ -43,7 +42,7 @@ def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
     """
     from experiment_runner.processes import children
 
-    process = children.start(_MODULE, [str(directory), "--stderr"])
+    process = children.start("view", [str(directory), "--stderr"])
 
     def wait() -> None:
         if process.poll() is None and any(map(os.isatty, _STANDARD_STREAMS)):

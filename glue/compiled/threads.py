@@ -34,8 +34,8 @@ from numba.core import cgutils, config, types
 from numba.extending import intrinsic
 
 from glue.compiled.jit import jit
-from glue.doors import clock
-from glue.doors.threads import Thread
+from glue.system import clock
+from glue.system.threads import Thread
 
 CALLER: Final = 0
 """Number of the calling thread; the workers follow."""

@@ -15,7 +15,7 @@ An address that requires a known key, which decides the role and the sessions of
 
     Bind("tcp://0.0.0.0:4097", keys=Keys(secret, {public: Permit("carol", frozenset({Role.AGENT}))}))
 
-The time of agents can be limited, see `glue.hub.time_bank`:
+The time of agents can be limited, see `glue.hub.timing`:
 
     HubConfig(time=TimeLimits(step_seconds=0.5, bank_seconds=30))
 """
@@ -25,11 +25,11 @@ from __future__ import annotations
 import ipaddress
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from glue.errors import ConfigError
-from glue.hub.keys import Keys
 from glue.wire.limits import MAX_BODY, MAX_NAME
 from glue.wire.messages import Role
 
@@ -54,10 +54,57 @@ _BODIES: Final = 4
 _MAX_TIMEOUT: Final = 7 * 86400.0
 """Maximum timeout in seconds; libzmq counts milliseconds in 31 bits."""
 
+KEY_SIZE: Final = 32
+"""Size of a CURVE key, public or secret, in bytes."""
+
 _TCP: Final = re.compile(r"tcp://(?P<host>\[[0-9a-fA-F:]+\]|[^:/\[\]]+):(?P<port>\d{1,9}|\*)")
 _LEGACY: Final = re.compile(
     r"((?P<host>\[[0-9a-fA-F:]+\]|[^:/=\[\]]+):)?(?P<port>\d{1,9}|\*)(=(?P<session>.*))?"
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Permit:
+    """The roles and sessions permitted to the owner of a key.
+
+    Args:
+        name: the name that the owner of the hub gives to the owner of the key.
+        roles: the roles that the owner may take.
+        sessions: the sessions in which the owner may take them; None for all.
+    """
+
+    name: str
+    roles: frozenset[Role]
+    sessions: frozenset[str] | None = None
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return whether the owner of the key may join `session` as `role`."""
+        return role in self.roles and (self.sessions is None or session in self.sessions)
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The keys of one hub.
+
+    Args:
+        secret: the hub's own secret key.
+        permits: roles and sessions by public key; any other key may join nothing.
+
+    Raises:
+        ConfigError: a key does not have 32 bytes.
+    """
+
+    secret: bytes = field(repr=False)
+    permits: Mapping[bytes, Permit]
+
+    def __post_init__(self) -> None:
+        for key in (self.secret, *self.permits):
+            if len(key) != KEY_SIZE:
+                raise ConfigError(f"a key has {KEY_SIZE} bytes, not {len(key)}")
+
+    def __str__(self) -> str:
+        number = len(self.permits)
+        return f"{number} key{'s' * (number != 1)} may join"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +156,7 @@ class TimeLimits:
     """The time that an agent has in a session.
 
     An answer that takes longer than `step_seconds` drains the excess from a bank of `bank_seconds`. An agent
-    whose time is over is dismissed. See `glue.hub.time_bank`.
+    whose time is over is dismissed. See `glue.hub.timing`.
 
     Args:
         step_seconds: seconds per answer that do not drain the bank.
@@ -209,7 +256,7 @@ class HubConfig:
         return tuple(Bind(bind) if isinstance(bind, str) else bind for bind in self.bind)
 
     @property
-    def max_seats(self) -> int:
+    def max_joined(self) -> int:
         """Maximum number of sessions per connection: a quarter of all, so that room is left for others."""
         return max(1, self.max_sessions // 4)
 

@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable
 from typing import Final, TypeVar
 
-from glue.doors import clock
+from glue.system import clock
 
 LONG_SPIN_SECONDS: Final = 300e-6
 """Seconds to poll for a message of many games: 64 games of Infinite Mario are stepped within this time."""

@@ -260,7 +260,7 @@ def test_export_writes_through_links_and_to_devices_without_replacing_them(run: 
 
 
 def test_export_to_a_full_disk_or_a_reader_that_left_is_one_line_or_none(run: Path) -> None:
-    command = [sys.executable, "-m", "experiment_runner.cli.results", "export", str(run)]
+    command = [sys.executable, "-m", "glue_rl", "results", "export", str(run)]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode != 0

@@ -15,7 +15,6 @@ from experiment_runner.competition.settings import Competition, Entrant, Limits,
 from experiment_runner.competition.starting import Launch, Running
 from glue.client.players import serve_agent
 from glue.errors import GlueError
-from glue.hub.config import TimeLimits
 from glue.roles import Agent
 from glue.types import Action, Observation
 
@@ -94,7 +93,7 @@ class Thread:
 def competition(
     *entrants: str,
     steps: int = 40,
-    limits: TimeLimits | None = None,
+    limits: Limits = Limits(),  # noqa: B008
     trials: int = 1,
     env: str = "mines",
     max_steps: int = 0,
@@ -105,7 +104,7 @@ def competition(
         trials,
         (Task("walk", env, {"random_start": True} if env == "mines" else {}, 0, steps, max_steps),),
         tuple(Entrant(name, command=("nothing",)) for name in entrants),
-        Limits(time=limits or TimeLimits()),
+        limits,
     )
 
 

@@ -12,11 +12,10 @@ import pytest
 from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import Forfeited, Played, starter_for
 from experiment_runner.competition.secret import agent_seed, draw, trials
-from experiment_runner.competition.settings import Entrant
+from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from glue.engine.engine import role_seed
 from glue.errors import ConfigError, GlueError
-from glue.hub.config import TimeLimits
 from glue.trajectory import Ending, Episode, TrajectoryReader
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
@@ -95,7 +94,7 @@ class Thinker(Walker):
         return self.act()
 
 
-LIMITS = TimeLimits(step_seconds=1.0, bank_seconds=5.0, start_seconds=30.0, total_seconds=1000.0)
+LIMITS = Limits(step_seconds=1.0, bank_seconds=5.0, start_seconds=30.0, total_seconds=1000.0)
 
 
 def test_a_bank_that_is_drained_slowly_ends_the_task(tmp_path: Path) -> None:
@@ -180,7 +179,7 @@ def test_what_an_agent_does_wrong_is_the_reason_in_one_line(agent: Walker, why: 
 
 def test_one_who_never_connects_forfeits(tmp_path: Path) -> None:
     ticks = itertools.count()
-    reports = reports_of(None, tmp_path, lambda: float(next(ticks)), limits=TimeLimits(start_seconds=5.0))
+    reports = reports_of(None, tmp_path, lambda: float(next(ticks)), limits=Limits(start_seconds=5.0))
     assert "did not connect within 5 s" in forfeit(reports)
     assert episodes(reports, tmp_path) == []
 

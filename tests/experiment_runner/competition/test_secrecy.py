@@ -14,10 +14,10 @@ import pytest
 from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import Forfeited
 from experiment_runner.competition.secret import trials
+from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.starting import Launch, variables
 from experiment_runner.executors.job import Ended
 from glue.engine.engine import role_seed
-from glue.hub.config import TimeLimits
 from glue.options import Option
 from glue.types import Action, Observation, Step
 from glue.wire.codec import FROM_HUB, TO_HUB, decode
@@ -142,7 +142,7 @@ def heard() -> Iterator[list[str]]:
 
 
 ENV = f"{__name__}:Listening"
-LIMITS = TimeLimits(start_seconds=10.0)
+LIMITS = Limits(start_seconds=10.0)
 
 
 def test_no_message_passes_between_an_entrant_and_its_environment(heard: list[str], tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_step_limits_are_those_of_an_episode(max_steps: int) -> None:
 
 
 def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> None:
-    module = [sys.executable, "-m", "env_server.cli.environment"]
+    module = [sys.executable, "-m", "glue_rl", "environment"]
     with subprocess.Popen(
         [*module, "mines", "--random-start", "--hub", "ipc://meeting", "--quiet"]
     ) as environment:

@@ -158,7 +158,7 @@ def test_behind_a_proxy_its_name_counts_and_off_loopback_any_ip_but_no_other_nam
 
 
 def test_off_loopback_only_when_told_to(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "experiment_runner.cli.view", str(tmp_path), "--host", "0.0.0.0"]
+    command = [sys.executable, "-m", "glue_rl", "view", str(tmp_path), "--host", "0.0.0.0"]
     refused = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert refused.returncode == 2
     assert "--insecure" in refused.stderr

@@ -6,9 +6,9 @@ import time
 
 import pytest
 
-from glue.doors import clock
 from glue.sockets import spinning
 from glue.sockets.spinning import Spin
+from glue.system import clock
 
 ENDLESS = 60.0
 

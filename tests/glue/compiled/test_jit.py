@@ -175,6 +175,7 @@ def test_one_process_compiles_and_the_others_wait_and_say_so(tmp_path: Path) -> 
 
 
 SPINNING = """
+import click
 import numpy as np
 from glue.compiled.jit import announce_compilation, entry
 
@@ -183,6 +184,7 @@ def spin(x):  # as LLVM, it does not return for a signal
     while x[0] < 2:
         x[0] = 1 - x[0]
 
+@click.command()
 def main():
     with announce_compilation("the rules"):
         spin(np.array([2]))
@@ -196,7 +198,7 @@ def test_a_signal_ends_a_command_that_compiles_without_returning_to_python(
     number: signal.Signals, tmp_path: Path
 ) -> None:
     (tmp_path / "spinning.py").write_text(SPINNING)
-    command = [sys.executable, "-c", "from glue.cli.entry import start; start('spinning')"]
+    command = [sys.executable, "-c", "from glue.cli.entry import start; start('spinning', 'main')"]
     settings = {**os.environ, "PYTHONPATH": f"{ROOT}:{tmp_path}"}
     with subprocess.Popen(command, cwd=tmp_path, env=settings, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

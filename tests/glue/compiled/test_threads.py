@@ -14,7 +14,7 @@ import pytest
 
 from glue.compiled.jit import entry
 from glue.compiled.threads import CALLER, RELEASED, Gate, Threads, begin_turn, claim, end_turn
-from glue.doors import clock
+from glue.system import clock
 from tests.house.imports import ROOT
 
 COUNT = 10

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from env_server.toys import MinesEnvironment
-from glue.conform.hub.rules import Tier
-from glue.conform.judge import Outcome, judge, judge_scripts, rules_of
+from glue.conform.clients.judge import judge, judge_scripts, rules_of
 from glue.conform.report import line, reached, summary
+from glue.conform.rules import Outcome, Tier
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.testing import HubRule
@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[3]
     ],
 )
 def test_random_faults_find_a_wrong_client(role: Role, fault: str) -> None:
-    verdicts = judge_scripts(role, wrong(role, fault), range(6), transport="ipc", wait=20)
+    verdicts = [*judge_scripts(role, wrong(role, fault), range(6), transport="ipc", wait=20)]
 
     expected = [verdict.expected for verdict in verdicts if verdict.outcome is Outcome.FAILED]
     assert any(", after " in text for text in expected)
@@ -45,7 +45,7 @@ def test_random_faults_find_a_wrong_client(role: Role, fault: str) -> None:
 
 @pytest.mark.stage("conformance")
 def test_any_agent_survives_random_faults() -> None:
-    verdicts = judge_scripts(Role.AGENT, served(Walker()), range(2), transport="ipc", wait=WAIT)
+    verdicts = [*judge_scripts(Role.AGENT, served(Walker()), range(2), transport="ipc", wait=WAIT)]
 
     assert {verdict.outcome for verdict in verdicts} == {Outcome.PASSED}
 
@@ -80,12 +80,17 @@ class RefusesMessages(Walker):
         raise ValueError("no messages, please")
 
 
+class Echo(Walker):
+    def agent_message(self, message: str) -> str:
+        return message
+
+
 @pytest.mark.stage("conformance")
 @pytest.mark.parametrize(("role", "make"), [(Role.AGENT, Walker), (Role.ENVIRONMENT, MinesEnvironment)])
 def test_any_player_is_judged_by_what_does_not_rest_on_its_answers(
     role: Role, make: type[Walker] | type[MinesEnvironment]
 ) -> None:
-    verdicts = judge(role, served(make()), transport="ipc", wait=WAIT, quiet=QUIET)
+    verdicts = [*judge(role, served(make()), transport="ipc", wait=WAIT, quiet=QUIET)]
 
     unjudged = [v.rule for v in verdicts if v.outcome is Outcome.NOT_JUDGED]
     assert [line(verdict) for verdict in verdicts if verdict.outcome is Outcome.FAILED] == []
@@ -95,17 +100,27 @@ def test_any_player_is_judged_by_what_does_not_rest_on_its_answers(
 
 
 def test_a_player_that_fails_in_a_legal_call_is_found_without_the_mirror() -> None:
-    verdicts = judge(Role.AGENT, served(RefusesMessages()), wait=WAIT, only={"hello"})
+    verdicts = [*judge(Role.AGENT, served(RefusesMessages()), wait=WAIT, only={"calls"})]
 
     assert [verdict.outcome for verdict in verdicts] == [Outcome.FAILED]
     assert "no messages, please" in verdicts[0].received
+
+
+def test_the_mirror_is_told_by_its_declared_name_or_by_the_option_and_not_by_its_answers() -> None:
+    expected = {"": Outcome.NOT_JUDGED, "a mirror": Outcome.NOT_JUDGED, "mirror": Outcome.FAILED}
+    for name, outcome in expected.items():
+        start = served(Echo(), name)
+        _, ints = judge(Role.AGENT, start, wait=WAIT, only={"calls", "ints"})
+        assert ints.outcome is outcome, name
+    (ints,) = judge(Role.AGENT, served(Echo()), mirror=True, wait=WAIT, only={"ints"})
+    assert ints.outcome is Outcome.FAILED
 
 
 @pytest.mark.parametrize(
     ("fault", "conforms"), [("ignores WELCOME's heartbeat", True), ("answers no PING", False)]
 )
 def test_only_a_broken_must_costs_the_tier(fault: str, conforms: bool) -> None:
-    verdicts = judge(Role.AGENT, wrong(Role.AGENT, fault), wait=1, only={FAULTS["agent"][fault]})
+    verdicts = [*judge(Role.AGENT, wrong(Role.AGENT, fault), wait=1, only={FAULTS["agent"][fault]})]
 
     assert [verdict.outcome for verdict in verdicts] == [Outcome.FAILED]
     assert all(reached(verdicts).values()) is conforms

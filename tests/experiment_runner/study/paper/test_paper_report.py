@@ -134,7 +134,7 @@ def test_report_without_episodes_is_an_error(tmp_path: Path) -> None:
 
 def test_command_runs_what_is_missing_and_reports(tmp_path: Path) -> None:
     arguments = ("7", "--trials", "1", "--episodes", "3", "--workers", "2", "--out", str(tmp_path))
-    command = [sys.executable, "-m", "experiment_runner.cli.paper", *arguments]
+    command = [sys.executable, "-m", "glue_rl", "paper", *arguments]
     first = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "7 hierarchical-internal" in first.stdout
     with Results.open(tmp_path / "7") as results:

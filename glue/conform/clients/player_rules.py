@@ -1,20 +1,142 @@
-"""Scenes of the answers of an agent or environment: each call is carried out once."""
+"""The rules for agents and environments: calls, the values in them, and that each is carried out once."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Final
 
-from glue.conform.hub.comparing import described
-from glue.conform.hub.connection import Gone
-from glue.conform.hub.mirror import FAIL, FAILURE
-from glue.conform.hub.player import SHOWN, PlayerHarness
-from glue.conform.hub.rules import PLAYERS, Broken, Requirement, Rules, Tier
-from glue.conform.scenes import forms
-from glue.conform.scenes.values import NOT_UTF_8
-from glue.types import Action, Observation
-from glue.wire.messages import ErrorCode, Event, Kind, Role
+import numpy as np
+
+from glue.batches import (
+    Batch,
+    Ragged,
+    batch_task_spec,
+    pack_actions,
+    pack_batch,
+    read_batch_task_spec,
+    unpack_actions,
+    unpack_batch,
+)
+from glue.conform import forms
+from glue.conform.clients.connection import Gone
+from glue.conform.clients.harness import MAX_BODY
+from glue.conform.clients.mirror import FAIL, FAILURE
+from glue.conform.clients.player_harness import SHOWN, SPEC, TASK, PlayerHarness
+from glue.conform.forms import CHARS, DOUBLES, EMPTY, INTS, MANY, NOT_UTF_8, REWARDS, TEXTS
+from glue.conform.messages import described
+from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier
+from glue.errors import GlueError, TaskSpecError
+from glue.taskspec import parse_task_spec
+from glue.types import CUT_OFF, Action, Observation
+from glue.wire.messages import ErrorCode, Event, Kind, Message, Role
 
 RULES: Final = Rules(PLAYERS)
+
+
+@RULES.add(Tier.PLAYS, "what-the-calls-mean")
+def calls(kit: PlayerHarness) -> None:
+    """Every call is answered, in any legal order."""
+    kit.episode()
+    if not kit.mirror:
+        kit.episode()
+        return  # Another order may be an error in the client's task.
+    kit.ask("MESSAGE", body=b"between two episodes")
+    start = SHOWN.body if kit.role is Role.AGENT else b""
+    init = SPEC if kit.role is Role.AGENT else b""
+    for name in ("INIT", "INIT", "START", "START", "CLEANUP", "CLEANUP", "INIT", "START"):
+        kit.ask(name, body=start if name == "START" else init if name == "INIT" else b"")
+    kit.steps(Action(chars=b"!"), SHOWN)  # Steps continue after the end of the episode.
+
+
+@RULES.add(Tier.PLAYS, "what-the-calls-mean", mirror=True)
+def before_init(kit: PlayerHarness) -> None:
+    """Any call may come before INIT: messages, a start, a cleanup."""
+    start = SHOWN.body if kit.role is Role.AGENT else b""
+    for name, body in (("MESSAGE", b"before any init"), ("START", start), ("CLEANUP", b"")):
+        kit.fresh()
+        kit.ask(name, body=body)
+    kit.episode()
+
+
+@RULES.add(Tier.PLAYS, "bodies", mirror=True)
+def doubles(kit: PlayerHarness) -> None:
+    """Doubles keep all their bits: negative zero, NaN, infinities."""
+    kit.steps(Observation([], DOUBLES), *(Observation([], [number]) for number in DOUBLES))
+    exchange = kit.step(SHOWN, reward=-0.1)  # The reward goes from the header into the doubles.
+    kit.run(exchange)
+
+
+@RULES.add(Tier.PLAYS, "bodies", mirror=True)
+def ints(kit: PlayerHarness) -> None:
+    """Ints are 32 bits, signed, little-endian."""
+    kit.steps(Observation(INTS))
+
+
+@RULES.add(Tier.PLAYS, "bodies", mirror=True)
+def chars(kit: PlayerHarness) -> None:
+    """Chars are any bytes."""
+    kit.steps(Observation(chars=CHARS), Observation(chars=b"\0"))
+
+
+@RULES.add(Tier.PLAYS, "bodies", needs=("doubles",), mirror=True)
+def empty(kit: PlayerHarness) -> None:
+    """Any or all of the runs may be empty."""
+    kit.steps(*EMPTY)
+
+
+@RULES.add(Tier.PLAYS, "bodies", needs=("doubles",), mirror=True)
+def counts(kit: PlayerHarness) -> None:
+    """Each of the runs may have more than 65,535 elements."""
+    kit.steps(*MANY)
+
+
+@RULES.add(Tier.PLAYS, "bodies", needs=("doubles", "counts"), mirror=True)
+def large(kit: PlayerHarness) -> None:
+    """Bodies may be as large as WELCOME's max_body."""
+    # Room for the mirror's additions: an int, and one or two doubles.
+    spare = MAX_BODY - 16 - 4 - (16 if kit.role is Role.AGENT else 8)
+    count = np.arange(spare // 24)
+    rest = spare - 12 * len(count)
+    kit.steps(Observation([7] * 70, [0.25] * 40), Observation(count, count / 7, b"\xfe" * rest))
+
+
+@RULES.add(Tier.PLAYS, "bodies", needs=("large",), mirror=True)
+def texts(kit: PlayerHarness) -> None:
+    """Texts are UTF-8: empty, long, outside of ASCII, with NUL."""
+    for text in TEXTS:
+        kit.ask("MESSAGE", body=text)
+    if kit.role is Role.AGENT:
+        for text in TEXTS:
+            kit.ask("INIT", body=text)
+
+
+@RULES.add(Tier.PLAYS, "the-header", needs=("doubles",), mirror=True)
+def rewards(kit: PlayerHarness) -> None:
+    """A reward may be any number."""
+    for reward in REWARDS:
+        if kit.role is Role.AGENT:
+            kit.ask("STEP", reward, body=SHOWN.body)
+            kit.ask("END", reward)
+        else:
+            kit.steps(Action([], [reward]))
+
+
+@RULES.add(Tier.PLAYS, "the-header", needs=("doubles", "rewards"))
+def widths(kit: PlayerHarness) -> None:
+    """Every format of msgpack is understood, in every width."""
+    for variant in forms.VARIANTS:
+        exchange = kit.step(SHOWN)
+        kind = int(exchange.expected.kind)
+        fixed = [forms.float_64(0.0)] if kit.kinds["STEP"] == kind and kit.role is Role.AGENT else []
+        kit.send_frames((forms.header(kind, kit.session, kit.seq, fixed, **variant), exchange.frames[1]))
+        kit.take(exchange.expected)
+    for reward, form in forms.rewards() if kit.role is Role.AGENT and kit.mirror else ():
+        kind = int(kit.kinds["STEP"])
+        exchange = kit.step(SHOWN, reward)
+        kit.send_frames((forms.header(kind, kit.session, kit.seq, [form]), exchange.frames[1]))
+        kit.take(exchange.expected)
+
 
 _ONCE: Final = "calls-and-how-each-happens-exactly-once"
 
@@ -46,7 +168,6 @@ def large_repeated(kit: PlayerHarness) -> None:
         exchange = kit.step(Observation(chars=bytes(size)))
         frames = kit.run(exchange)
         kit.repeat(exchange, frames)
-        kit.cut()
         kit.reconnect()
         kit.repeat(exchange, frames)
         kit.steps(SHOWN)
@@ -68,7 +189,6 @@ def silent_until_welcomed(kit: PlayerHarness) -> None:
     """No answer is sent over a new connection before WELCOME."""
     exchange = kit.step(SHOWN)
     frames = kit.run(exchange)
-    kit.cut()
     kit.connect()
     kit.nothing("between HELLO and WELCOME")
     kit.welcome()
@@ -83,7 +203,6 @@ def answer_delayed(kit: PlayerHarness) -> None:
         # Large, so that the connection is cut before the answer is sent.
         exchange = kit.step(Observation(chars=bytes(900_000)))
         kit.send_frames(exchange.frames)
-        kit.cut()
         kit.connect(queued=exchange.expected)
         kit.nothing("between HELLO and WELCOME")
         kit.welcome()
@@ -110,7 +229,6 @@ def forgets(kit: PlayerHarness) -> None:
     kit.steps(SHOWN, SHOWN)
     last = kit.seq
     for seq in (1, last):
-        kit.cut()
         kit.connect()
         kit.welcome(resumed=False)
         # With `last`, the call has the number of one that was answered, but is another call.
@@ -126,7 +244,6 @@ def welcome_lost(kit: PlayerHarness) -> None:
     exchange = kit.step(SHOWN)
     frames = kit.run(exchange)
     for _ in range(2):
-        kit.cut()
         kit.connect()
         kit.welcome(resumed=False)
         kit.repeat(exchange, frames)
@@ -229,7 +346,6 @@ def broken_text(kit: PlayerHarness) -> None:
 @RULES.add(Tier.COMPLETE, "greeting", needs=("silent-until-welcomed",), mirror=True)
 def max_body(kit: PlayerHarness) -> None:
     """An answer larger than WELCOME's max_body is not sent; ERROR is."""
-    kit.cut()
     kit.connect()
     limit = 20_000
     kit.welcome(max_body=limit)
@@ -239,7 +355,6 @@ def max_body(kit: PlayerHarness) -> None:
     if got.kind is not Kind.ERROR or got.scalars[0] != ErrorCode.EXCEPTION or got.seq != kit.seq:
         raise Broken(f"ERROR {kit.seq} exception, since {limit} bytes are allowed", described(got), frames)
     if not _left(kit):
-        kit.cut()
         kit.reconnect()
         kit.steps(SHOWN)
 
@@ -275,3 +390,94 @@ def _left(kit: PlayerHarness) -> bool:
     kit.cut()
     kit.client.wait(kit.wait)
     return True
+
+
+_GAMES: Final = 3
+
+_STEPS: Final = 60
+"""Number of steps in which the environment's batch is checked."""
+
+
+@RULES.add(
+    Tier.COMPLETE, "batches", name="batch", roles=(Role.AGENT,), level=Requirement.MAY, capability="batch"
+)
+def acting(kit: PlayerHarness) -> None:
+    """An agent is shown a batch, and answers with an action for each of its games."""
+    kit.fresh()
+    kit.ask("INIT", body=batch_task_spec(_GAMES, TASK.decode()).encode())
+    for step, terminals in enumerate(([0, 0, 0], [0, 1, 2], [2, 2, 2], [1, 0, 1], [0, 0, 0])):
+        values = [Observation([0])] * (_GAMES + terminals.count(CUT_OFF))
+        rewards = np.zeros(_GAMES) if step == 0 else np.array([0.5, -0.25, 1.0])
+        body = pack_batch(Batch(rewards, np.array(terminals, np.int32), Ragged.of(values))).body
+        name, scalars = ("STEP", (float(rewards.sum()),)) if step else ("START", ())
+        answer = _answer(kit, name, *scalars, body=body)
+        try:
+            unpack_actions(Action.from_body(answer.body), _GAMES)
+        except GlueError as error:
+            raise Broken(f"the actions of {_GAMES} games: {error}", described(answer)) from None
+    kit.drop()  # The client's numbers are not those of the kit's own model.
+
+
+@RULES.add(
+    Tier.COMPLETE,
+    "batches",
+    name="batch",
+    roles=(Role.ENVIRONMENT,),
+    level=Requirement.MAY,
+    capability="batch",
+)
+def playing(kit: PlayerHarness) -> None:
+    """An environment shows each of its games: rewards, terminals, and last observations of those cut off."""
+    kit.fresh()
+    text = _answer(kit, "INIT").body.decode()
+    try:
+        games, inner = read_batch_task_spec(text)
+    except GlueError as error:
+        raise Broken(f"the task spec of a batch: {error}", repr(text)) from None
+    generator = np.random.default_rng(0)
+    _checked(_answer(kit, "START"), games, start=True)
+    try:
+        actions = parse_task_spec(inner).actions
+    except TaskSpecError as error:
+        raise NotJudged(f"its task spec does not tell the legal actions: {error}") from None
+    for _ in range(_STEPS):
+        chosen = [Action(*actions.sample(generator)) for _ in range(games)]
+        _checked(_answer(kit, "STEP", body=pack_actions(Ragged.of(chosen)).body), games)
+    kit.drop()
+
+
+def _answer(kit: PlayerHarness, name: str, *scalars: float, body: bytes = b"") -> Message:
+    """Call a player whose answer is not the mirror's; return the answer."""
+    kit.seq += 1
+    kind = kit.kinds[name]
+    kit.send(kind, *scalars, seq=kit.seq, body=body)
+    got, frames = kit.next(f"{kind.name} {kit.seq}")
+    if got[:3] != (kind, kit.session, kit.seq):
+        raise Broken(f"{kind.name} {kit.seq}", described(got), frames)
+    return got
+
+
+def _checked(answer: Message, games: int, start: bool = False) -> None:
+    """Check the batch in the answer to ENV_START or ENV_STEP."""
+    try:
+        rewards, terminals, _ = unpack_batch(Observation.from_body(answer.body))
+    except GlueError as error:
+        raise Broken(f"a batch of {games} games: {error}", described(answer)) from None
+    wrong = _mistake(rewards.tolist(), terminals.tolist(), answer, games, start)
+    if wrong:
+        raise Broken(wrong, described(answer))
+
+
+def _mistake(
+    rewards: Sequence[float], terminals: Sequence[int], answer: Message, games: int, start: bool
+) -> str:
+    if len(rewards) != games or len(terminals) != games:
+        return f"rewards and terminals of {games} games"
+    if start:
+        return "rewards and terminals of 0 at the start" if any(rewards) or any(terminals) else ""
+    reward, terminal = answer.scalars
+    if terminal is not False:
+        return "the terminal false: games of a batch end by themselves"
+    if not math.isclose(float(str(reward)), math.fsum(rewards), rel_tol=1e-9, abs_tol=1e-9):
+        return f"as reward {math.fsum(rewards)!r}, the sum of the games' rewards"
+    return ""

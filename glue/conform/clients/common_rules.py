@@ -1,24 +1,137 @@
-"""Scenes of all other traffic on a connection, for any client: heartbeats, commands, malformed messages."""
+"""The rules for every client: its greeting and its end, other traffic on a connection, broken connections."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
-from glue.conform.hub.comparing import described
-from glue.conform.hub.connection import Gone
-from glue.conform.hub.harness import MAX_BODY, Exchange, Harness
-from glue.conform.hub.rules import EVERYONE, Broken, NotJudged, Requirement, Rules, Tier
-from glue.conform.scenes import forms
-from glue.doors import clock
+from glue.conform import forms
+from glue.conform.clients.connection import Connection, Gone
+from glue.conform.clients.harness import MAX_BODY, Exchange, Harness
+from glue.conform.messages import described
+from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
+from glue.system import clock
 from glue.wire import zmtp
-from glue.wire.codec import FROM_HUB, decode, encode
-from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind, Message
+from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.messages import PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Kind, Message
 
-RULES: Final = Rules(EVERYONE)
+FIRST: Final = Rules(THREE_ROLES)
+"""Rules about a client's start, whose scenes start clients themselves: all others depend on them."""
+
+RULES: Final = Rules(THREE_ROLES)
+
+LAST: Final = Rules(THREE_ROLES)
+"""Rules judged last: they end the client."""
+
+
+@FIRST.add(Tier.PLAYS, "appendix-zeromq-without-libzmq")
+def handshake(kit: Harness) -> None:
+    """ZMTP's handshake, as a DEALER; no message before the hub's READY."""
+    kit.drop()
+    kit.start()
+    kit.connect(hold=kit.quiet)
+
+
+@FIRST.add(Tier.PLAYS, "greeting")
+def hello(kit: Harness) -> None:
+    """HELLO comes first, with its role and 16 bytes of instance; then the client waits for WELCOME."""
+    kit.drop()
+    kit.start()
+    greeted = kit.connect()
+    versions, role, instance, name, codec, _ = greeted.scalars
+    frames = encode(greeted, TO_HUB)
+    if not isinstance(versions, tuple) or PROTOCOL_VERSION not in versions:
+        raise Broken(f"HELLO with the version {PROTOCOL_VERSION}", described(greeted), frames)
+    if role != kit.role:
+        raise Broken(f"HELLO with the role {kit.role!s}", described(greeted), frames)
+    if not isinstance(instance, bytes) or len(instance) != 16 or len(set(instance)) < 3:
+        raise Broken("HELLO with an instance of 16 random bytes", described(greeted), frames)
+    if not name or not codec:
+        raise Broken("HELLO with a name and a codec", described(greeted), frames)
+    kit.nothing_but_hello()
+    kit.welcome(resumed=False)
+    kit.begin()
+    kit.exchange()
+
+
+@FIRST.add(Tier.PLAYS, "greeting")
+def restart(kit: Harness) -> None:
+    """A restarted program has another instance."""
+    kit.ready()
+    before = kit.instance
+    kit.drop()
+    kit.ready()
+    if kit.instance == before:
+        raise Broken("another instance", f"that of the program before it, {before.hex()}")
+
+
+@LAST.add(Tier.PLAYS, "greeting")
+def goodbye(kit: Harness) -> None:
+    """GOODBYE ends the client, without another message in the session."""
+    kit.exchange()
+    code = _said_goodbye(kit, "the hub closes")
+    if code and kit.mirror:
+        raise Broken("exit code 0 after GOODBYE", str(code))
+
+
+@LAST.add(Tier.PLAYS, "greeting")
+def refusal(kit: Harness) -> None:
+    """REFUSE ends the client, with an exit code other than 0."""
+    if _refused(kit, "this hub is full") == 0 and kit.mirror:
+        raise Broken("an exit code other than 0 after REFUSE", "0")
+
+
+@LAST.add(
+    Tier.PLAYS, "what-a-peer-must-should-and-may-do", level=Requirement.SHOULD, needs=("goodbye", "refusal")
+)
+def reasons(kit: Harness) -> None:
+    """The texts of GOODBYE and REFUSE are shown to the user."""
+    kit.fresh()
+    for end, reason in ((_said_goodbye, "the hub closes for good"), (_refused, "no room for mirrors here")):
+        end(kit, reason)
+        if reason not in kit.output():
+            raise Broken(f"that it prints {reason!r}", f"{kit.output()[-300:]!r}")
+
+
+def _said_goodbye(kit: Harness, reason: str) -> int:
+    """Say GOODBYE to the client, and return its exit code."""
+    kit.send(Kind.GOODBYE, reason)
+    try:
+        frames = kit.heard(kit.wait)  # A HEARTBEAT may have been sent before GOODBYE was read.
+    except Gone:
+        frames = None
+    if frames is not None:
+        raise Broken("nothing after GOODBYE", described(kit.decoded(frames)), frames)
+    kit.cut()
+    return _ended(kit, "GOODBYE")
+
+
+def _refused(kit: Harness, reason: str) -> int:
+    """Refuse a new client, and return its exit code."""
+    kit.drop()
+    kit.start()
+    greeted = kit.connect()
+    kit.send(Kind.REFUSE, ErrorCode.FULL, reason, seq=greeted.seq)
+    kit.connection.ends(kit.wait)
+    kit.cut()
+    return _ended(kit, "REFUSE")
+
+
+def _ended(kit: Harness, kind: str) -> int:
+    code = kit.client.wait(kit.wait)
+    if code is None:
+        raise Broken(f"the client's end after {kind}", f"none in {kit.wait:g} s")
+    if code < 0:
+        raise Broken(f"the client's end after {kind}", f"its end by signal {-code}")
+    return code
+
+
+_LOOK: Final = 0.02
+"""Seconds between two polls of the client's state."""
 
 _LOOKS: Final = 50
-"""Number of times that the client's state is polled."""
+"""Number of times that it is polled."""
 
 _BEATS: Final = 5
 _BEATS_WITHIN: Final = 1.5
@@ -118,7 +231,6 @@ def session_names(kit: Harness) -> None:
 @RULES.add(Tier.SURVIVES, "greeting", level=Requirement.SHOULD, needs=("silent-until-welcomed",))
 def hello_once(kit: Harness) -> None:
     """HELLO is said once over each connection, whether it is answered soon or late."""
-    kit.cut()
     kit.connect()
     kit.nothing(f"but one HELLO, for {6 * kit.quiet:g} s without an answer", 6 * kit.quiet)
     kit.send(Kind.ERROR, ErrorCode.UNKNOWN_PEER, "say HELLO", seq=0)
@@ -134,7 +246,6 @@ def hello_once(kit: Harness) -> None:
 @RULES.add(Tier.COMPLETE, "greeting", level=Requirement.SHOULD, needs=("silent-until-welcomed", "hello-once"))
 def silence(kit: Harness) -> None:
     """A peer that receives nothing for WELCOME's heartbeat sends HEARTBEAT, repeatedly."""
-    kit.cut()
     kit.connect()
     kit.welcome(heartbeat=0.1)
     kit.resume()
@@ -150,7 +261,6 @@ def silence(kit: Harness) -> None:
         if (got.kind, got.session) != (Kind.HEARTBEAT, kit.session):
             raise Broken(expected, described(got), frames)
         times.append(clock.monotonic())
-    kit.cut()
     kit.reconnect()
     kit.exchange()
 
@@ -224,7 +334,106 @@ def _spoil(
         raise Broken(f"no answer to {name}", described(got), frames or ())
     if got is not None:
         kit.cut()  # The client reported an error, or said GOODBYE.
-    code = kit.client.wait(kit.quiet) if kit.connected else kit.returns()
+    code = kit.client.wait(kit.quiet) if kit.connected else _left_or_back(kit)
     if code is not None and code < 0:
         raise Broken(f"a client that goes on or reports an error after {name}", f"its end by signal {-code}")
     kit.abandon()
+
+
+def _left_or_back(kit: Harness) -> int | None:
+    """Wait until the client reconnects or ends; return its exit code, or None if it has reconnected."""
+    deadline = clock.monotonic() + kit.wait
+    while (code := kit.client.wait(_LOOK)) is None and not kit.listener.waits(_LOOK):
+        if clock.monotonic() > deadline:
+            raise Broken(f"the client's return or end within {kit.wait:g} s", "neither")
+    try:
+        if code is None:
+            kit.reconnect()
+    except Broken:
+        # libzmq can reconnect while the client ends.
+        code = kit.client.wait(max(0.0, deadline - clock.monotonic()))
+        if code is None:
+            raise
+    return code
+
+
+@RULES.add(Tier.SURVIVES, "greeting", needs=("silent-until-welcomed",))
+def instance(kit: Harness) -> None:
+    """The instance is the same over each new connection."""
+    before = kit.instance
+    for _ in range(2):
+        kit.reconnect()
+        if kit.instance != before:
+            raise Broken(f"the instance {before.hex()} again", kit.instance.hex())
+    kit.exchange()
+
+
+@RULES.add(Tier.SURVIVES, "breaks-replacements-and-void-episodes", needs=("silent-until-welcomed",))
+def answer_lost(kit: Harness) -> None:
+    """An answer or request that is lost with its connection is sent again: at every step of an episode."""
+    for number in range(kit.exchanges()):
+        exchange = kit.prepare()
+        frames = kit.run(exchange)
+        kit.cut(reset=number % 2 == 1)
+        kit.connect()
+        kit.welcome()
+        kit.repeat(exchange, frames)
+
+
+@RULES.add(
+    Tier.SURVIVES,
+    "breaks-replacements-and-void-episodes",
+    needs=(
+        "silent-until-welcomed",
+        "answer-lost",
+    ),
+)
+def call_lost(kit: Harness) -> None:
+    """An incomplete message at the end of a connection is discarded: at every step of an episode."""
+    for number in range(kit.exchanges()):
+        exchange = kit.prepare()
+        data = zmtp.encode(exchange.frames)
+        kit.send_bytes(data[: 1 + number * len(data) // kit.exchanges()])
+        kit.reconnect()
+        kit.run(exchange)
+
+
+@RULES.add(Tier.SURVIVES, "transport", needs=("silent-until-welcomed",))
+def handshakes_lost(kit: Harness) -> None:
+    """A connection may end at any point of its handshake and greeting."""
+    steps: list[Callable[[Connection], None]] = [
+        lambda connection: None,
+        lambda connection: connection.send_bytes(zmtp.GREETING[:10]),
+        lambda connection: connection.send_bytes(zmtp.GREETING),
+        lambda connection: connection.greet(kit.wait),
+    ]
+    for step in steps:
+        with suppress(Gone):  # libzmq sometimes gives a connection up before its greeting
+            step(kit.accept())
+    kit.connect()  # And once after HELLO, without a WELCOME.
+    kit.reconnect()
+    kit.exchange()
+
+
+@RULES.add(Tier.SURVIVES, "transport", level=Requirement.SHOULD, needs=("silent-until-welcomed",))
+def absent(kit: Harness) -> None:
+    """The client waits for a hub that is absent for a while."""
+    kit.listener.close()
+    try:
+        kit.cut()
+        code = kit.client.wait(2 * kit.quiet)
+    finally:
+        kit.listener.open()
+    if code is not None:
+        raise Broken("a client that waits for the hub", f"its end, with exit code {code}")
+    kit.reconnect()
+    kit.exchange()
+
+
+@RULES.add(Tier.SURVIVES, "greeting", needs=("silent-until-welcomed",))
+def unknown_peer(kit: Harness) -> None:
+    """The error unknown-peer is answered with HELLO, over the same connection."""
+    kit.greet_again()
+    kit.exchange()
+    if kit.hellos != 1:
+        raise Broken("one HELLO", f"{kit.hellos}")

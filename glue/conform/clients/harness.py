@@ -7,27 +7,24 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Final, NamedTuple, TypeVar
 
-from glue.conform.hub.clients import Client, Start
-from glue.conform.hub.comparing import described, difference, same
-from glue.conform.hub.connection import Connection, Gone, Listener
-from glue.conform.hub.rules import Broken, NotJudged
-from glue.doors import chance, clock
+from glue.conform.clients import mirror
+from glue.conform.clients.connection import Connection, Gone, Listener
+from glue.conform.clients.process import Client, Start
+from glue.conform.messages import described, difference, same
+from glue.conform.rules import Broken, NotJudged
 from glue.errors import RemoteProtocolError
+from glue.system import chance, clock
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
-from glue.wire.messages import PROTOCOL_VERSION, Kind, Message, Role, Value
+from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
 
 MAX_BODY: Final = 2**20
 """Bytes of the largest body that the kit accepts, as its WELCOME says."""
 
 QUIET: Final = 0.25
 """Default seconds of silence after which no message is expected: a wrong message would come at once."""
-
-_LOOK: Final = 0.02
-"""Seconds between two polls."""
 
 _T = TypeVar("_T")
 
@@ -46,21 +43,23 @@ class Harness(ABC):
         role: the client's role.
         start: starts a client.
         listener: the kit's listening socket.
+        mirror: the client is the mirror of docs/clients.md, whatever its name.
         wait: timeout of each expected message, in seconds.
         quiet: seconds of silence after which no message is expected any more.
     """
 
-    def __init__(self, role: Role, start: Start, listener: Listener, wait: float, quiet: float) -> None:
+    def __init__(
+        self, role: Role, start: Start, listener: Listener, mirror: bool, wait: float, quiet: float
+    ) -> None:
         self.role = role
         self.listener = listener
         self.wait = wait
         self.quiet = quiet
         self.session: str = ""
-        self.hellos: int = 0  # over the current connection
+        self.hellos: int = 0  # since the last one that was asked for
         self.instance: bytes = b""  # of the last HELLO
         self.capabilities: tuple[Value, ...] = ()
-        self.name: str = ""
-        self.mirror: bool = True  # unless the client turns out to be another program
+        self.mirror: bool = mirror or role is Role.EXPERIMENT  # or once HELLO has the mirror's name
         self._start = start
         self._client: Client | None = None
         self._connection: Connection | None = None
@@ -144,8 +143,9 @@ class Harness(ABC):
     # --- Connections ----------------------------------------------------------------------------------
 
     def accept(self) -> Connection:
-        """Return the client's next connection, before any handshake."""
-        connection = self.listener.accept(self.wait)
+        """Close the connection, if there is one; return the client's next, before any handshake."""
+        self.cut()
+        connection = self._connection = self.listener.accept(self.wait)
         if connection is None:
             code = self.client.wait(0)
             ended = "" if code is None else f": the client has ended with exit code {code}"
@@ -153,25 +153,24 @@ class Harness(ABC):
         return connection
 
     def connect(self, hold: float = 0.0, queued: Message | None = None) -> Message:
-        """Accept a connection, and return the HELLO over it.
+        """Let the client connect anew, and return its HELLO.
 
         Args:
             hold: seconds by which READY is delayed.
             queued: an answer that may come ahead of HELLO: libzmq queues it while there is no connection.
         """
-        self.cut()
         deadline = clock.monotonic() + self.wait
-        self._connection = self.accept()
         while True:
             try:
-                self.connection.greet(self.wait, hold)
-                break
+                self.accept().greet(self.wait, hold)
+                return self.hello(queued)
             except Gone:
                 # libzmq sometimes gives a connection up before its greeting, and makes another.
                 if clock.monotonic() > deadline:
                     raise Broken("a connection that lasts", "several that the client ended") from None
-                self.cut()
-                self._connection = self.accept()
+
+    def hello(self, queued: Message | None = None) -> Message:
+        """Return the next message, which must be a HELLO; `queued` as for `connect`."""
         self.hellos = 0
         hello, frames = self.next("HELLO")
         if queued is not None and self._agrees(queued, hello):
@@ -188,47 +187,24 @@ class Harness(ABC):
         timeout = max(5.0, self.wait)
         self.send(Kind.WELCOME, PROTOCOL_VERSION, resumed, heartbeat, timeout, max_body, seq=named)
 
-    def returns(self) -> int | None:
-        """Wait until the client reconnects or ends; return its exit code, or None if it has reconnected."""
-        deadline = clock.monotonic() + self.wait
-        while clock.monotonic() < deadline:
-            code = self.client.wait(_LOOK)
-            if code is not None:
-                return code
-            if self.listener.waits(_LOOK):
-                try:
-                    self.reconnect()
-                except Broken:
-                    # libzmq can reconnect while the client ends.
-                    if (code := self.client.wait(max(0.0, deadline - clock.monotonic()))) is None:
-                        raise
-                return code
-        raise Broken(f"the client's return or end within {self.wait:g} s", "neither")
-
-    def begin_handshake(self, step: Callable[[Connection], None]) -> None:
-        """Accept a connection and take a step of its handshake."""
-        self._connection = self.accept()
-        with suppress(Gone):  # libzmq sometimes gives a connection up before its greeting
-            step(self._connection)
-
-    def greeted_again(self) -> None:
-        """Expect another HELLO over the current connection, and answer it."""
-        hello, frames = self.next("HELLO", again=True)
-        if hello.kind is not Kind.HELLO:
-            raise Broken("HELLO over the same connection", described(hello), frames)
+    def reconnect(self, queued: Message | None = None) -> None:
+        """Let the client connect anew, and resume the session; `queued` as for `connect`."""
+        self.connect(queued=queued)
         self.welcome()
+        self.resume()
+
+    def greet_again(self) -> None:
+        """Let the client greet the kit again over the same connection, as if it had been forgotten."""
+        self.send(Kind.ERROR, ErrorCode.UNKNOWN_PEER, "say HELLO", seq=0)
+        self.hello()
+        self.welcome()
+        self.resume()
 
     def cut(self, reset: bool = False) -> None:
         """Close the connection, if there is one."""
         if self._connection is not None:
             self._connection.close(reset)
             self._connection = None
-
-    def reconnect(self, queued: Message | None = None) -> None:
-        """Let the client return over a new connection, and resume the session; `queued` as for `connect`."""
-        self.connect(queued=queued)
-        self.welcome()
-        self.resume()
 
     # --- Messages -------------------------------------------------------------------------------------
 
@@ -254,11 +230,10 @@ class Harness(ABC):
             ended = "" if code is None else f" and of the client, with exit code {code}"
             raise Broken("an open connection", f"the end of the connection{ended}{self._said()}") from None
 
-    def next(self, expected: str, again: bool = False) -> tuple[Message, Sequence[bytes]]:
+    def next(self, expected: str) -> tuple[Message, Sequence[bytes]]:
         """Return the client's next message and its frames.
 
-        HEARTBEAT and a repeated HELLO are answered; `again` returns the repeated HELLO instead. A NOTICE
-        says why an answer takes long; it is ignored.
+        HEARTBEAT and a repeated HELLO are answered. A NOTICE says why an answer takes long; it is ignored.
         """
         deadline = clock.monotonic() + self.wait
         while True:
@@ -272,8 +247,6 @@ class Harness(ABC):
                 continue
             elif message.kind is Kind.HELLO and self.hellos:
                 self._greeted(message)
-                if again:
-                    return message, frames
                 self.welcome()
             else:
                 return message, frames
@@ -379,8 +352,7 @@ class Harness(ABC):
 
     def exchange(self) -> None:
         """Carry out the next exchange."""
-        exchange = self.prepare()
-        self.run(exchange)
+        self.run(self.prepare())
 
     def episode(self) -> None:
         """Carry out all exchanges of an episode."""
@@ -392,9 +364,9 @@ class Harness(ABC):
         self.hellos += 1
         _, _, instance, name, _, capabilities = hello.scalars
         assert isinstance(instance, bytes)
-        assert isinstance(name, str)
         assert isinstance(capabilities, tuple)
-        self.instance, self.name, self.capabilities = instance, name, capabilities
+        self.instance, self.capabilities = instance, capabilities
+        self.mirror = self.mirror or name == mirror.NAME
         return hello
 
     def _said(self) -> str:

@@ -10,12 +10,10 @@ import numpy as np
 
 from glue.batches import Ragged, pack_actions, read_batch_task_spec
 from glue.client.bodies import READ, write
-from glue.conform.hub.clients import Start
-from glue.conform.hub.comparing import described
-from glue.conform.hub.connection import Listener
-from glue.conform.hub.harness import Exchange, Harness
-from glue.conform.hub.mirror import MirrorAgent, MirrorEnvironment
-from glue.conform.hub.rules import PLAYERS, Broken
+from glue.conform.clients.harness import Exchange, Harness
+from glue.conform.clients.mirror import MirrorAgent, MirrorEnvironment
+from glue.conform.messages import described
+from glue.conform.rules import PLAYERS, Broken
 from glue.engine.calls import role_calls
 from glue.errors import GlueError
 from glue.taskspec import parse_task_spec
@@ -27,7 +25,6 @@ _KINDS: Final = {
     role: {kind.name.partition("_")[2]: kind for kind, call in CALLS.items() if call.callee is role}
     for role in PLAYERS
 }
-"""Each role's calls by their names without the role: AGENT_STEP is `STEP`."""
 
 SPEC: Final = "a task for a mirror, größer als nötig".encode()
 """The mirror's task: not a task spec, so that any answer is legal."""
@@ -41,8 +38,6 @@ TASK: Final = (
 SHOWN: Final = Observation([0], chars=b"ab")
 """An observation that even a client that confuses numbers understands: every number is zero."""
 
-_PROBE: Final = b"are you a mirror?"
-
 
 class PlayerHarness(Harness):
     """The kit as the hub of an agent or environment.
@@ -51,32 +46,20 @@ class PlayerHarness(Harness):
     calls that are legal in its task, and may give any answer to them.
     """
 
-    def __init__(self, role: Role, start: Start, listener: Listener, wait: float, quiet: float) -> None:
-        super().__init__(role, start, listener, wait, quiet)
-        self.kinds: dict[str, Kind] = _KINDS[role]
-        self.seq: int = 0
-        self._action = Action().body
-        self._recognised = False
+    seq: int = 0
+
+    _action = Action().body
+
+    @property
+    def kinds(self) -> dict[str, Kind]:
+        """The calls to the client by their names without its role: AGENT_STEP is `STEP`."""
+        return _KINDS[self.role]
 
     def begin(self) -> None:
         model: Any = MirrorAgent() if self.role is Role.AGENT else MirrorEnvironment()
         self._handlers = role_calls(self.role, model)
         self.seq = 0
-        if not self._recognised:
-            self.mirror: bool = self._recognise()
-            self._recognised = True
         self._plot: Iterator[tuple[str, tuple[Value, ...], bytes]] = cycle(self._episode())
-
-    def _recognise(self) -> bool:
-        """Return whether the client is the mirror, judged by its name or because it echoes any text."""
-        if "mirror" in self.name:
-            return True
-        self.send_frames(self.call("MESSAGE", body=_PROBE).frames)
-        expected = f"an answer to the message {_PROBE.decode()!r}"
-        got, frames = self.next(expected)
-        if got.kind is not self.kinds["MESSAGE"]:
-            raise Broken(expected, described(got), frames)
-        return got.body == _PROBE
 
     def _episode(self) -> list[tuple[str, tuple[Value, ...], bytes]]:
         if self.role is Role.AGENT:
@@ -129,8 +112,7 @@ class PlayerHarness(Harness):
 
     def ask(self, name: str, *scalars: Value, body: bytes = b"", seq: int | None = None) -> Sequence[bytes]:
         """Call, and expect the answer; return its frames."""
-        exchange = self.call(name, *scalars, body=body, seq=seq)
-        return self.run(exchange)
+        return self.run(self.call(name, *scalars, body=body, seq=seq))
 
     def step(self, shown: Observation | Action, reward: float = 0.0) -> Exchange:
         """Return a step that shows `shown` to the mirror; other players get a message, legal at any time."""
@@ -142,8 +124,7 @@ class PlayerHarness(Harness):
     def steps(self, *all_shown: Observation | Action) -> None:
         """Carry out a step with each of `all_shown`."""
         for each in all_shown:
-            exchange = self.step(each)
-            self.run(exchange)
+            self.run(self.step(each))
 
     def settle(self) -> None:
         pass
@@ -152,12 +133,7 @@ class PlayerHarness(Harness):
         pass
 
     def repeat(self, exchange: Exchange, frames: Sequence[bytes]) -> None:
-        self.send_frames(exchange.frames)
-        self.take_again(exchange, frames)
-
-    def take_again(self, exchange: Exchange, frames: Sequence[bytes]) -> None:
-        """Expect the answer to a repeated call, byte for byte the one given before."""
-        again = self.take(exchange.expected)
+        again = self.run(exchange)
         if list(again) != list(frames):
             raise Broken("the same bytes as the first time", described(self.decoded(again)), again)
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 import numpy as np
 
-from glue.conform.hub.connection import Connection
-from glue.conform.hub.harness import Exchange, Harness
-from glue.conform.hub.rules import Broken
-from glue.doors import clock
+from glue.conform.clients.connection import Connection, Gone
+from glue.conform.clients.harness import Exchange, Harness
+from glue.conform.rules import Broken
+from glue.system import clock
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, encode
-from glue.wire.messages import ErrorCode, Kind, Message, Role
+from glue.wire.messages import Kind, Message, Role
 
 _EPISODES: Final = 2
 _MOST_PIECES: Final = 12
@@ -121,7 +122,8 @@ def _handshakes_lost(kit: Harness, rng: np.random.Generator, exchange: Exchange)
 
     for _ in range(rng.integers(1, 4)):
         _break(kit, rng)
-        kit.begin_handshake(step)
+        with suppress(Gone):  # libzmq sometimes gives a connection up before its greeting
+            step(kit.accept())
     if rng.integers(2):
         kit.connect()
         _break(kit, rng)  # HELLO was heard, and never answered
@@ -143,9 +145,7 @@ def _no_hub(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
 
 def _forgotten(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
     """The error unknown-peer."""
-    kit.send(Kind.ERROR, ErrorCode.UNKNOWN_PEER, "say HELLO", seq=0)
-    kit.greeted_again()
-    kit.resume()
+    kit.greet_again()
     kit.run(exchange)
 
 

@@ -25,6 +25,9 @@ from glue.wire.messages import THREE_ROLES, ErrorCode, Event, Role
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
 
+NAME: Final = "mirror"
+"""The name that every mirror declares in HELLO."""
+
 TASK_SPEC: Final = "a mirror, größer than it is"
 FAIL: Final = "fail"
 FAILURE: Final = "asked to fail"
@@ -234,11 +237,11 @@ def run_mirror(role: Role, hub: str, session: str, context: Context | None = Non
 
     try:
         if role is Role.AGENT:
-            print(serve_agent(MirrorAgent(), hub, session, context=context))
+            print(serve_agent(MirrorAgent(), hub, session, context=context, name=NAME))
         elif role is Role.ENVIRONMENT:
-            print(serve_environment(MirrorEnvironment(), hub, session, context=context))
+            print(serve_environment(MirrorEnvironment(), hub, session, context=context, name=NAME))
         else:
-            with connect(hub, session, name="mirror", context=context, on_notice=keep) as glue:
+            with connect(hub, session, name=NAME, context=context, on_notice=keep) as glue:
                 play(glue, notices)
     except HubClosed as goodbye:
         print(goodbye)

@@ -1,4 +1,4 @@
-"""The time that an agent has used in a session, and its limit.
+"""The time that players take to answer: reports of slow calls, and the limit of an agent's time.
 
 The hub measures the time from sending a call until reading its answer. The time of an answer beyond its limit
 is drained from a bank, as in Kaggle's environments: an agent may think for long now and then, but not always.
@@ -12,6 +12,12 @@ from typing import Final
 
 from glue.hub.config import TimeLimits
 from glue.wire.messages import Kind
+
+_FIRST_SECONDS: Final = 5.0
+"""Seconds without an answer after which a call is reported."""
+
+_FACTOR: Final = 6.0
+"""Factor between the times of successive reports of the same call: 5 s, 30 s, 180 s, ..."""
 
 _STARTING: Final = frozenset({Kind.AGENT_SEED, Kind.AGENT_INIT})
 
@@ -75,3 +81,32 @@ class TimeBank:
                 f"({limits.step_seconds:g} s are free per answer)"
             )
         return None
+
+
+class SlowCalls:
+    """Decides when to report a call without an answer, at growing intervals."""
+
+    __slots__ = ("_call", "_report_after", "_since")
+
+    def __init__(self) -> None:
+        self._call: int | None = None  # only its sequence number, as a message may be large
+        self._since = 0.0
+        self._report_after = _FIRST_SECONDS
+
+    def overdue(self, call: int | None, now: float, explained: bool) -> float | None:
+        """Return the seconds to report if it is time to report `call`, otherwise None.
+
+        Args:
+            call: the sequence number of the outstanding call, if any; a call is timed from when it is first
+                passed.
+            now: the time in seconds.
+            explained: whether the player has said why it takes long; the first report is then omitted.
+        """
+        if call is None or call != self._call:
+            self._call, self._since, self._report_after = call, now, _FIRST_SECONDS
+            return None
+        if now - self._since < self._report_after:
+            return None
+        seconds = self._report_after
+        self._report_after *= _FACTOR
+        return None if explained and seconds == _FIRST_SECONDS else seconds

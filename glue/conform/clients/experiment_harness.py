@@ -9,10 +9,8 @@ from itertools import cycle
 from typing import Any, Final
 
 from glue.client.bodies import READ, write
-from glue.conform.hub.clients import Start
-from glue.conform.hub.connection import Listener
-from glue.conform.hub.harness import MAX_BODY, Exchange, Harness
-from glue.conform.hub.mirror import carry_out
+from glue.conform.clients.harness import MAX_BODY, Exchange, Harness
+from glue.conform.clients.mirror import carry_out
 from glue.engine.experiment import Experiment
 from glue.types import AbstractType, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
@@ -58,9 +56,7 @@ class _Replying(Experiment):
 class ExperimentHarness(Harness):
     """The kit as the hub of an experiment; the expected requests are those of our own mirror."""
 
-    def __init__(self, role: Role, start: Start, listener: Listener, wait: float, quiet: float) -> None:
-        super().__init__(role, start, listener, wait, quiet)
-        self.request: Message = Message(Kind.RL_ENV_STEP, "", 0)
+    request: Message = Message(Kind.RL_ENV_STEP, "", 0)
 
     def begin(self) -> None:
         self._plot: Iterator[Order] = cycle(self._episode())
@@ -119,16 +115,13 @@ class ExperimentHarness(Harness):
         """Carry out both exchanges of each order."""
         self.settle()
         for each in orders:
-            exchange = self.order(each)
-            self.run(exchange)
-            exchange = self.reply(each)
-            self.run(exchange)
+            self.run(self.order(each))
+            self.run(self.reply(each))
 
     def asks(self, order: Order) -> None:
         """Carry out the first exchange of an order."""
         self.settle()
-        exchange = self.order(order)
-        self.run(exchange)
+        self.run(self.order(order))
 
     def welcome(
         self, resumed: bool = True, heartbeat: float = 1.0, max_body: int = MAX_BODY, seq: int | None = None

@@ -1,17 +1,16 @@
-"""Rules of the protocol: their text, their section of its reference, and the scene that tests each."""
+"""Rules of the protocol, each with the scene that tests it, and verdicts on them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Final
 
 from glue.errors import GlueError
-from glue.wire.messages import THREE_ROLES, Role
+from glue.wire.messages import Role
 
 PLAYERS: Final = (Role.AGENT, Role.ENVIRONMENT)
-EVERYONE: Final = THREE_ROLES
 
 
 class Tier(StrEnum):
@@ -63,7 +62,7 @@ class Rule:
         tier: the tier that requires it.
         section: the anchor of its heading in docs/protocol-reference.md.
         text: the behaviour that it demands.
-        roles: the roles that it applies to.
+        roles: the roles that it applies to; none if it is for hubs.
         scene: its test.
         needs: names of rules that the scene depends on; its failure is not counted if one of them failed.
         level: the requirement level. MAY: the client need not offer it, but anything it offers has to work.
@@ -104,9 +103,59 @@ class Rules(list[Rule]):
         def keep(scene: Check) -> Check:
             text = " ".join((scene.__doc__ or "").split()).removesuffix(".")
             text = text if text[1].isupper() else text[0].lower() + text[1:]
-            name = more.pop("name", scene.__name__.replace("_", "-"))
-            roles = more.pop("roles", self._roles)
-            self.append(Rule(name, tier, section, text, roles, scene, **more))
+            fields = {"name": scene.__name__.replace("_", "-"), "roles": self._roles, **more}
+            self.append(Rule(tier=tier, section=section, text=text, scene=scene, **fields))
             return scene
 
         return keep
+
+
+class Outcome(StrEnum):
+    """Whether a rule was kept."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    NOT_JUDGED = "not judged"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict on one rule over one transport.
+
+    Attributes:
+        rule: the rule.
+        transport: `tcp` or `ipc`.
+        outcome: whether the rule is kept.
+        expected: the expected message or behaviour, if it failed; the reason, if it was not judged.
+        received: a description of what was received instead.
+        frames: the bytes received, in hex.
+        mirror: whether the client was the mirror of docs/clients.md.
+    """
+
+    rule: Rule
+    transport: str
+    outcome: Outcome = Outcome.PASSED
+    expected: str = ""
+    received: str = ""
+    frames: tuple[str, ...] = ()
+    mirror: bool = True
+
+    @property
+    def violation(self) -> bool:
+        """Whether the rule is violated; a broken SHOULD is reported, but is no violation."""
+        return self.outcome is Outcome.FAILED and self.rule.level is not Requirement.SHOULD
+
+    def failed(self, broken: Broken) -> Verdict:
+        """Return the verdict that the rule is broken."""
+        frames = tuple(bytes(frame).hex(" ") for frame in broken.frames)
+        return replace(
+            self,
+            outcome=Outcome.FAILED,
+            expected=broken.expected,
+            received=broken.received,
+            frames=frames,
+        )
+
+    def not_judged(self, why: str) -> Verdict:
+        """Return the verdict that the rule cannot be judged."""
+        return replace(self, outcome=Outcome.NOT_JUDGED, expected=why)
