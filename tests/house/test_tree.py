@@ -59,7 +59,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "agents/soar/*",
         "experiment_runner/competition/containers.py",
         "experiment_runner/processes/children.py",
-        "experiment_runner/executors/hints.py",
+        "experiment_runner/executors/over_hub.py",
         "experiment_runner/plan/provenance.py",
         "experiment_runner/report/progress.py",
         "experiment_runner/view/launch.py",
