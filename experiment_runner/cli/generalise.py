@@ -45,7 +45,7 @@ _T = TypeVar("_T")
     "sets",
     multiple=True,
     metavar="NAME",
-    help="Score this set of levels, or with NAME:N its first N, or the levels in the files *.txt of a folder, "
+    help="Score this set of levels, or with NAME:N its first N, or the levels in *.txt of a folder, "
     "for each difficulty, in place of --train and --test. Repeat it for several.",
 )
 @click.option(

@@ -22,7 +22,7 @@ import numpy as np
 from gymnasium import spaces
 
 from glue.errors import ConfigError, SimulatorError
-from glue.gym.leaves import INT32, SpaceLike
+from glue.gym.codec import INT32, SpaceLike
 
 _MAX_DEPTH: Final = 8
 _MAX_FIELDS: Final = 256
