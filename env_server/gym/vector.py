@@ -12,11 +12,11 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from env_server.gym.games import make_games
 from env_server.gym.rendering import FPS, RENDER_MODES, Renderer
 from env_server.gym.spaces import (
     CHOICES,
     action_space,
+    make_games,
     observation_space,
     read_actions,
     unpack,

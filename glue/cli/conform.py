@@ -11,7 +11,6 @@ from typing import Final
 import click
 
 from glue import __version__
-from glue.cli.shared import run
 from glue.conform.clients.process import TRANSPORTS, starter
 from glue.conform.rules import Outcome, Tier
 from glue.console import for_terminal, say
@@ -128,8 +127,3 @@ def conform(
         card.write_text(scorecard(role, command, verdicts), encoding="utf-8")
         say(f"wrote {card}")
     return 0 if all(reached(verdicts).values()) else _FAILED
-
-
-def main() -> None:
-    """Run `glue-conform`."""
-    run(conform)

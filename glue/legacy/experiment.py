@@ -107,7 +107,7 @@ class LegacyExperiment(LegacyPeer):
             self._connection.later()
 
     def _num_steps(self) -> int:
-        return self._switchboard.num_steps(self._session)
+        return self._sessions.num_steps(self._session)
 
     def _fail(self, kind: Kind, why: str) -> None:
         repeatable = kind not in EPISODE_VERBS
@@ -130,14 +130,14 @@ class LegacyExperiment(LegacyPeer):
         if self._state is ExperimentState.FAILED:
             self._on(ExperimentEvent.LEFT)
             connection.reset()
-            self._switchboard.lose(self, self._failure, now)
+            self._sessions.lose(self, self._failure, now)
             return
         try:
             self._take_up(now)
         except RemoteProtocolError as error:
             self._on(ExperimentEvent.LEFT)
             connection.reset()
-            self._switchboard.malformed(self, error, now)
+            self._sessions.malformed(self, error, now)
 
     def _take_up(self, now: float) -> None:
         """Start at most one request, so that every session gets its turn, and receive more data."""
@@ -200,7 +200,7 @@ class LegacyExperiment(LegacyPeer):
         self._request = request
         if request.body:
             self._weigh()  # what is kept without having been buffered
-        self._switchboard.receive(self, request, now)
+        self._sessions.receive(self, request, now)
 
     def _expect_end(self) -> None:
         """Apply the hub's timeout to the pending request: its sender may be gone."""

@@ -11,7 +11,7 @@ from glue.conform.clients.connection import Connection, Gone
 from glue.conform.clients.harness import BEAT, MAX_BODY, Exchange, Harness
 from glue.conform.messages import described
 from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
-from glue.doors import clock
+from glue.system import clock
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Kind, Message

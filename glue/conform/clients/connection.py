@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from glue.conform.rules import Broken
-from glue.doors import clock, network
 from glue.errors import RemoteProtocolError
+from glue.system import clock, network
 from glue.wire import zmtp
 from glue.wire.limits import MAX_BODY, MAX_HEADER
 

@@ -11,7 +11,7 @@ import numpy as np
 from glue.conform.clients.connection import Connection, Gone
 from glue.conform.clients.harness import BEAT, Exchange, Harness
 from glue.conform.rules import Broken
-from glue.doors import clock
+from glue.system import clock
 from glue.wire import zmtp
 from glue.wire.messages import Role
 

@@ -14,8 +14,8 @@ from glue.conform.clients.connection import Connection, Gone, Listener
 from glue.conform.clients.process import Client, Start
 from glue.conform.messages import described, difference, same
 from glue.conform.rules import Broken, NotJudged
-from glue.doors import chance, clock
 from glue.errors import RemoteProtocolError
+from glue.system import chance, clock
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
 from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value

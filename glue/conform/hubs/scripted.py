@@ -12,9 +12,9 @@ from typing import Final
 from glue.client.libzmq import Context, DealerTransport
 from glue.conform.messages import described
 from glue.conform.rules import Broken
-from glue.doors import chance, clock
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.hub.sessions import INSTANCE_SIZE
+from glue.system import chance, clock
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.limits import MAX_BODY, MAX_HEADER

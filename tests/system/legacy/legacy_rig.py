@@ -100,7 +100,7 @@ class Rig:
         long as a request may take.
         """
         self.settle()
-        wait_until(lambda: session not in self.hub.switchboard._sessions, f"{session!r} to be empty")
+        wait_until(lambda: session not in self.hub.sessions._by_name, f"{session!r} to be empty")
 
     def native(self, session: str = "default") -> RemoteExperiment:
         """Connect as one of our experiments."""
@@ -175,7 +175,7 @@ def _true_accounts() -> Iterator[None]:
         connection = peer._connection
         kept = peer._decoder.buffered + connection.unsent + peer._kept()
         used = 0 if connection.closed else peers._BASE + kept
-        held = peer._switchboard.memory.held.get(peer, 0)
+        held = peer._sessions.memory.accounts.get(peer, 0)
         if held != used:
             wrong.append(f"{type(peer).__name__} uses {used} bytes and accounts for {held}")
 

@@ -10,8 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
-from experiment_runner.meeting.over_hub import listening
-from experiment_runner.meeting.players import HubOptions, Meeting, open_experiment
+from experiment_runner.executors.over_hub import listening
+from experiment_runner.executors.players import open_experiment
+from experiment_runner.executors.settings import HubOptions, Placement
 from experiment_runner.plan.plan import Plan, RoleSweep
 from glue import load_run
 from glue.hub.config import LegacyPort
@@ -76,12 +77,12 @@ def test_an_original_agent_that_connects_before_there_is_a_hub_joins_the_first_t
     here = LegacyPort(0)
     options = HubOptions(bind=("tcp://127.0.0.1:*",), legacy=(here,))
     plan = Plan(episodes=1, trials=2, environments=(RoleSweep("skeleton"),))
-    lines: list[str] = []
-    with listening(plan, Meeting(hub=options), lines.append) as meeting, ThreadPoolExecutor() as pool:
-        number = meeting.opened_legacy[here].port
+    said: list[object] = []
+    with listening(plan, Placement(hub=options), said.append) as placement, ThreadPoolExecutor() as pool:
+        number = placement.opened_legacy[here].port
         for spec in plan.expand():
             agent = pool.submit(play, SCENARIOS["skeleton"].agent(), Connection(number))
-            with open_experiment(spec, meeting, lines.append, lambda: 0) as glue:
+            with open_experiment(spec, placement, said.append, lambda: 0) as glue:
                 glue.rl_init()
                 assert glue.rl_episode(9) in (True, False)
             agent.result(TIMEOUT)

@@ -15,9 +15,9 @@ import pytest
 
 from glue.client.experiment import RemoteExperiment
 from glue.errors import HubClosed, LocalProtocolError, PeerFailed, PeerLost
+from glue.hub.channel import Channel
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
-from glue.hub.peer import Route
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPlayer
@@ -324,13 +324,13 @@ def test_no_session_has_more_than_one_request_taken_up_in_a_turn(monkeypatch: py
     turns = Counter[tuple[str, float]]()
     hub = Hub(HubConfig(("tcp://127.0.0.1:*",)))
     (port,) = Gateway(hub, [LegacyPort(0)]).ports
-    receive = hub.switchboard.receive
+    receive = hub.sessions.receive
 
-    def note(route: Route, message: Message, now: float) -> None:
+    def note(channel: Channel, message: Message, now: float) -> None:
         turns[message.kind.name, now] += 1  # `now` does not change within a turn of the loop
-        receive(route, message, now)
+        receive(channel, message, now)
 
-    monkeypatch.setattr(hub.switchboard, "receive", note)
+    monkeypatch.setattr(hub.sessions, "receive", note)
     greedy = Connection(port.port)
     greedy.send(Id.EXPERIMENT_CONNECTION)
     greedy.send_raw(struct.pack(">iI", Id.RL_NUM_STEPS, 0) * 500)
@@ -600,7 +600,7 @@ def test_an_error_in_a_delivery_costs_the_receiver_and_not_the_sender(
     with pair.native(FAULTY) as experiment:
         # All have joined; from now on the hub waits only briefly for one that cannot be reached.
         monkeypatch.setattr(
-            pair.hub.switchboard, "_config", replace(pair.hub.config, heartbeat=0.1, timeout=0.1)
+            pair.hub.sessions, "_config", replace(pair.hub.config, heartbeat=0.1, timeout=0.1)
         )
         with pytest.raises(PeerLost, match="unreachable"):
             experiment.rl_agent_message("hello")
