@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.mario.agent import NUM_ACTIONS
-from agents.planner.search import BEFORE, SETTINGS, make_room, model, search
-from agents.planner.tree import stride
+from agents.planner.search import BEFORE, SETTINGS, make_room, model, search, stride
 from env_server.mario.many.games import Games
 from glue.compiled.jit import entry
 from glue.compiled.records import Array

@@ -22,8 +22,7 @@ from agents.planner.agent import (
     StepSeconds,
 )
 from agents.planner.physics import Physics
-from agents.planner.search import model
-from agents.planner.tree import FRICTION
+from agents.planner.search import FRICTION, model
 from glue.errors import SaveError
 from glue.options import Option
 from glue.saves import Arrays, Saved

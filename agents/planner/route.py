@@ -14,8 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents.planner.search import model
-from agents.planner.tree import DESCRIBED, describe, meet, push, sink
+from agents.planner.search import DESCRIBED, describe, meet, model, push, sink
 from glue.compiled.jit import announce_compilation, entry, jit
 from glue.compiled.records import Array, Int, Real, layout
 from glue.saves import Arrays, Saved

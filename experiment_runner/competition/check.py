@@ -1,4 +1,4 @@
-"""The smoke phase: before a competition every entrant plays a little, and its owner gets a report.
+"""The check before a competition: every entrant plays a little, and its owner gets a report.
 
 Entrants play every task on the default level of its environment, which reveals nothing secret.
 """
@@ -10,16 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.competition.match import (
-    MODULE,
-    REPORTS,
-    Forfeited,
-    Match,
-    starter_for,
-)
-from experiment_runner.competition.secret import public_trial
+from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match
 from experiment_runner.competition.settings import Competition, Entrant
-from experiment_runner.competition.starting import name_of_run
+from experiment_runner.competition.starters import name_of_run, starter_for
+from experiment_runner.competition.trials import public_trial
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.store.database import reported
@@ -53,65 +47,53 @@ def check_entrants(competition: Competition, directory: Path, say: Callable[[str
     with reported(f"cannot write to {directory}"):
         directory.mkdir(parents=True, exist_ok=True)
         lock = RunLock(directory)
+    failed = 0
     try:
         environments = [task.env for task in competition.tasks]
         with LocalExecutor(1, MODULE, REPORTS, warm=environments) as executor:
-            return _check_entrants(competition, directory, say, executor)
+            for entrant in competition.entrants:
+                report = directory / entrant.name / "report.txt"
+                with reported(f"cannot write to {report.parent}"):
+                    report.parent.mkdir(parents=True, exist_ok=True)
+                problem, lines = _checked(competition, entrant, directory, executor)
+                with reported(f"cannot write to {report.parent}"):
+                    write_flushed(report, "\n".join(lines) + "\n")
+                failed += problem is not None and entrant.key is None
+                say(f"{entrant.name}: {problem or f'played {EPISODES} episodes of each task'}; see {report}")
     finally:
         (directory / LOCK_FILE).unlink(missing_ok=True)
         lock.release()
-
-
-def _check_entrants(
-    competition: Competition,
-    directory: Path,
-    say: Callable[[str], None],
-    executor: LocalExecutor,
-) -> int:
-    run = name_of_run(directory)
-    failed = 0
-    for entrant in competition.entrants:
-        folder = directory / entrant.name
-        with reported(f"cannot write to {folder}"):
-            folder.mkdir(parents=True, exist_ok=True)
-        problem, lines = _checked(competition, entrant, folder, run, executor)
-        with reported(f"cannot write to {folder}"):
-            write_flushed(folder / "report.txt", "\n".join(lines) + "\n")
-        failed += problem is not None and entrant.key is None
-        result = problem or f"played {EPISODES} episodes of each task"
-        say(f"{entrant.name}: {result}; see {folder / 'report.txt'}")
     return failed
 
 
 def _checked(
-    competition: Competition, entrant: Entrant, folder: Path, run: str, executor: LocalExecutor
+    competition: Competition, entrant: Entrant, directory: Path, executor: LocalExecutor
 ) -> tuple[str | None, list[str]]:
     """Let an entrant play every task; return the first problem, if any, and the lines of its report."""
-    time = competition.limits
+    limits, run = competition.limits, name_of_run(directory)
+    lines = [f"{competition.name}: {entrant.name} ({entrant.player})"]
     ends = (
-        f"Limits of each trial: {time.start_seconds:g} s to connect, and as much to initialise; "
-        f"{time.step_seconds:g} s per answer, and a bank of {time.bank_seconds:g} s for longer ones; "
-        f"{time.total_seconds:g} s in all."
+        f"Limits of each trial: {limits.start_seconds:g} s to connect, and as much to initialise; "
+        f"{limits.step_seconds:g} s per answer, and a bank of {limits.bank_seconds:g} s for longer ones; "
+        f"{limits.total_seconds:g} s in all."
     )
-    title = f"{competition.name}: {entrant.name} ({entrant.player})"
-    problem: str | None
-    if entrant.key is not None:
-        problem = "not tried: it joins from elsewhere, with its key"
-        return problem, [title, "", problem, "", ends]
     try:
+        if entrant.key is not None:
+            raise ConfigError("not tried: it joins from elsewhere, with its key")
         starter = starter_for(entrant)
-        found = replace(entrant, id=starter.check(entrant, competition.limits))
+        found = replace(entrant, id=starter.check(entrant, limits))
         starter.sweep(run)
     except (ConfigError, ExperimentError) as error:
-        return str(error), [title, "", str(error), "", ends]
-    first, lines = None, [title, *([found.id] if found.id else []), ""]
+        return str(error), [*lines, "", str(error), "", ends]
+    first = None
+    lines += [*([found.id] if found.id else []), ""]
     for task in competition.tasks:
-        log = folder / f"{task.name}.log"
+        log = directory / entrant.name / f"{task.name}.log"
         with reported(f"cannot write to {log}"):
             write_flushed(log, "")
         most = min(task.max_steps or _MAX_STEPS, _MAX_STEPS)
         spec = public_trial(task, entrant.name, EPISODES, most)
-        episodes, problem = _try(executor, Match(spec, found, competition.limits, 0, log, run))
+        episodes, problem = _try(executor, Match(spec, found, limits, 0, log, run))
         if first is None and problem is not None:
             first = f"task {task.name}: {problem}"
         lines += [

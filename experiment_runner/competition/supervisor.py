@@ -1,6 +1,6 @@
 """Run a trusted entrant's program: keep a bounded log of its output, and end the program with its organiser.
 
-    python -P -m experiment_runner.competition.keeper LOG SIZE PROGRAM ARGUMENTS...
+    python -P -m experiment_runner.competition.supervisor LOG SIZE PROGRAM ARGUMENTS...
 
 When the organiser ends, or closes our standard input, the program and its process group are ended. This
 process ends as the program did: with its status, or by the same signal.
@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import os
 import resource
-import select
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -22,7 +22,7 @@ from typing import BinaryIO, Final
 from experiment_runner.processes.watchdog import watch_parent
 from glue.files import create_regular
 
-MODULE: Final = "experiment_runner.competition.keeper"
+MODULE: Final = "experiment_runner.competition.supervisor"
 
 CANNOT_START: Final = 127
 """Exit status if there is no such program, as in a shell."""
@@ -39,10 +39,10 @@ def main() -> None:
     log, size, *command = sys.argv[1:]
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # this process ends with its parent
-    sys.exit(_keep(Path(log), int(size), command))
+    sys.exit(_supervise(Path(log), int(size), command))
 
 
-def _keep(log: Path, size: int, command: Sequence[str]) -> int:
+def _supervise(log: Path, size: int, command: Sequence[str]) -> int:
     with create_regular(log) as kept:
         try:
             program = subprocess.Popen(
@@ -58,11 +58,13 @@ def _keep(log: Path, size: int, command: Sequence[str]) -> int:
             kept.write(f"cannot start {command[0]}: {error.strerror}\n".encode())
             return CANNOT_START
         watch_parent(lambda: _end(program))
+        copying = threading.Thread(target=_copy, args=(program.stdout, kept, size), daemon=True)
+        copying.start()
         try:
-            _copy(program, kept, size)
+            status = program.wait()
         finally:
             _end(program)
-    status = program.wait()
+        copying.join(_GRACE_SECONDS)  # a process of another group may keep the pipe open
     if status < 0:  # 128 - status, as of a shell, could be the program's own status
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         with suppress(OSError):  # SIGKILL is always fatal
@@ -76,30 +78,16 @@ def _default_signals() -> None:
         signal.signal(number, signal.SIG_DFL)
 
 
-def _copy(program: subprocess.Popen[bytes], kept: BinaryIO, size: int) -> None:
-    """Copy the output of the program until it ends."""
-    assert program.stdout is not None
-    printed = program.stdout.fileno()
-    ended = os.pidfd_open(program.pid)
-    poller = select.poll()
-    for descriptor in (printed, ended):
-        poller.register(descriptor, select.POLLIN)
-    while True:
-        ready = {descriptor for descriptor, _ in poller.poll()}
-        if ended in ready and (printed not in ready or size <= 0):
-            os.close(ended)
-            return
-        if printed in ready:
-            data = os.read(printed, _CHUNK)
-            if not data:
-                poller.unregister(printed)
-            elif size > 0:
-                with suppress(OSError):  # the disk is full: the log is not worth the trial
-                    kept.write(data[:size])
-                    kept.flush()
-                    size -= len(data)
-                    if size <= 0:
-                        kept.write(_CUT)
+def _copy(printed: BinaryIO, kept: BinaryIO, size: int) -> None:
+    """Keep the first bytes of what the program prints, and read the rest, so that it need not wait."""
+    while data := os.read(printed.fileno(), _CHUNK):
+        if size > 0:
+            with suppress(OSError, ValueError):  # the disk is full, or the log closed: not worth the trial
+                kept.write(data[:size])
+                kept.flush()
+                size -= len(data)
+                if size <= 0:
+                    kept.write(_CUT)
 
 
 def _end(program: subprocess.Popen[bytes]) -> None:
