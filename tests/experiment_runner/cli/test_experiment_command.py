@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from experiment_runner.cli.experiment import experiment
-from experiment_runner.cli.planning import own_directory
+from experiment_runner.cli.make_plan import own_directory
 from experiment_runner.plan.file import load_plan
 from experiment_runner.report.overview import as_text
 from experiment_runner.store.results import Results

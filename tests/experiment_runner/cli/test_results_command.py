@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click import UsageError
+from click import Context, UsageError
 from click.testing import CliRunner, Result
 from pyarrow import parquet
 
@@ -506,3 +506,10 @@ def test_plot_of_a_run_under_way_draws_what_there_is(tmp_path: Path) -> None:
     assert draw(make(tmp_path / "run", [4, 2, 0, 0]), out).exception is None
     assert out.stat().st_size > 1000
     assert "nothing to draw yet" in str(draw(make(tmp_path / "empty", [0, 0, 0, 0]), out).exception)
+
+
+def test_the_list_of_subcommands_has_the_first_sentence_of_each() -> None:
+    for name, listed in results.commands.items():
+        _, command, _ = results.resolve_command(Context(results), [name])
+        assert command is not None
+        assert listed.get_short_help_str(200) == command.get_short_help_str(200)
