@@ -11,9 +11,8 @@ from typing import Any, Final
 import click
 
 from experiment_runner.cli.options import backend_options, check_backend
-from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend
-from experiment_runner.plan.limits import COUNTS, PLAYERS
-from experiment_runner.view.starting import check_view
+from experiment_runner.plan.limits import CHECKPOINT_EVERY, COUNTS, PLAYERS, Backend
+from experiment_runner.view.launch import check_view
 from glue import __version__
 from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, keys_option, legacy_port_option
 from glue.errors import ConfigError
@@ -274,8 +273,7 @@ def experiment(**settings: Any) -> int:
         check_recording,
         results_alone,
     )
-    from experiment_runner.executors.players import Placement
-    from experiment_runner.executors.run import RunConfig
+    from experiment_runner.executors.settings import Placement, RunConfig
     from experiment_runner.plan.plan import describe
 
     options = SimpleNamespace(**settings)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
-from experiment_runner.executors.settings import Backend
+from experiment_runner.plan.limits import Backend
 from glue.cli.shared import prepare
 from glue.errors import ConfigError, ExperimentError
 
 if TYPE_CHECKING:
     from experiment_runner.analysis.settings import Setting
-    from experiment_runner.executors.run import RunConfig
+    from experiment_runner.executors.settings import RunConfig
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 

@@ -19,9 +19,9 @@ import click
 
 from experiment_runner.cli.options import naming_out
 from experiment_runner.executors.opening import FINISH, finished_at, kept_if_begun, open_run, remaining
-from experiment_runner.executors.players import HubOptions
 from experiment_runner.executors.recording import recorded
-from experiment_runner.executors.run import RunConfig, run_trials
+from experiment_runner.executors.run import run_trials
+from experiment_runner.executors.settings import HubOptions, RunConfig
 from experiment_runner.plan.limits import PLAYERS
 from experiment_runner.plan.plan import Plan, class_files
 from experiment_runner.report.overview import date
@@ -34,7 +34,7 @@ from experiment_runner.store.layout import PARTS, clear, replace_flushed
 from experiment_runner.store.records import TUNED, UNSEEDED
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from experiment_runner.view.starting import viewed
+from experiment_runner.view.launch import viewed
 from glue.cli.screen import has_color
 from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError

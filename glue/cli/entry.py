@@ -12,7 +12,7 @@ import signal
 import sys
 from importlib import import_module
 
-import glue.doors.forks  # noqa: F401  # for the handlers that are set here
+import glue.system.forks  # noqa: F401  # for the handlers that are set here
 from glue.names import others
 
 TYPE_CHECKING = False
@@ -93,7 +93,7 @@ def handle_signals() -> None:
 
 def is_stuck() -> bool:
     """Return whether printing would block, because standard error is a full pipe that is not being read."""
-    from glue.doors import network
+    from glue.system import network
 
     try:
         return not network.select([], [_STDERR], [], 0)[1]

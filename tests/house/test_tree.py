@@ -21,6 +21,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
     "msgspec": [
+        "experiment_runner/competition/records/*",
         "experiment_runner/competition/settings.py",
         "experiment_runner/executors/job.py",
         "experiment_runner/plan/*",
@@ -30,7 +31,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],
     "click": ["*/cli/*", "glue/plugins/naming.py"],
-    "matplotlib": ["experiment_runner/report/*", "experiment_runner/study/paper/figures.py"],
+    "matplotlib": ["experiment_runner/report/*", "experiment_runner/study/paper/report.py"],
     "PIL": ["env_server/render/*"],
     "imageio_ffmpeg": ["env_server/render/*"],
     "sqlite3": ["experiment_runner/store/*"],
@@ -41,11 +42,13 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "scipy": ["experiment_runner/analysis/stats.py"],
     "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
-    "gymnasium": ["glue/gym/*", "env_server/gym/*", "env_server/datasets/*", "agents/ppo.py"],
+    "gymnasium": ["glue/gym/*", "glue/openenv/*", "env_server/gym/*", "env_server/datasets/*"],
     "stable_baselines3": ["glue/gym/sb3.py"],
-    "torch": ["agents/ppo.py", "experiment_runner/study/generalisation/imitation.py"],
+    "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*"],
-    "uvicorn": ["experiment_runner/view/server.py", "experiment_runner/view/connections.py"],
+    "openenv": ["glue/openenv/*"],
+    "pydantic": ["glue/openenv/serving.py"],
+    "uvicorn": ["glue/openenv/serving.py", "experiment_runner/view/server.py"],
     # Peers and files are not trusted.
     **dict.fromkeys(("pickle", "marshal", "shelve", "eval()", "exec()", "compile()"), NOWHERE),
     # Every random choice comes from a generator that was handed over.
@@ -53,16 +56,14 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     # Libraries name settings by their Python names; these show or start commands, or are programs themselves.
     "--option": [
         "*/cli/*",
-        "agents/ppo.py",
         "agents/soar/*",
         "experiment_runner/competition/containers.py",
         "experiment_runner/processes/children.py",
-        "experiment_runner/executors/hints.py",
+        "experiment_runner/executors/over_hub.py",
         "experiment_runner/plan/provenance.py",
         "experiment_runner/report/progress.py",
-        "experiment_runner/view/starting.py",
+        "experiment_runner/view/launch.py",
         "experiment_runner/slurm/batch.py",
-        "experiment_runner/study/generalisation/imitation.py",
         "glue/conform/clients/mirror.py",
         "glue/plugins/naming.py",
         "glue/rlglue/package.py",
@@ -74,7 +75,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "*/cli/*",
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
-            "experiment_runner/competition/programs.py",  # passes it on
+            "experiment_runner/competition/starters.py",  # passes it on
             "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
             "glue/conform/clients/process.py",  # passes it on
@@ -83,18 +84,18 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
 }
 """Files that may import a module, or use a name. All other code uses it through these files."""
 
-DOORS: Final[Mapping[str, Sequence[str]]] = {
-    "time": ["glue/doors/clock.py"],
-    "os.sched_yield": ["glue/doors/clock.py"],
-    "socket": ["glue/doors/network.py"],
-    "select": ["glue/doors/network.py"],
-    "selectors": ["glue/doors/network.py"],
-    "secrets": ["glue/doors/chance.py"],
-    "os.urandom": ["glue/doors/chance.py"],
+SYSTEM: Final[Mapping[str, Sequence[str]]] = {
+    "time": ["glue/system/clock.py"],
+    "os.sched_yield": ["glue/system/clock.py"],
+    "socket": ["glue/system/network.py"],
+    "select": ["glue/system/network.py"],
+    "selectors": ["glue/system/network.py"],
+    "secrets": ["glue/system/chance.py"],
+    "os.urandom": ["glue/system/chance.py"],
     # The other is a thread that watches for signals during compilation, which a simulation does not do.
-    "threading": ["glue/doors/threads.py", "glue/compiled/jit.py"],
+    "threading": ["glue/system/threads.py", "glue/compiled/jit.py"],
 }
-"""The files of `glue` that may use these: tests/simulation replaces the doors."""
+"""The files of `glue` that may use these: tests/simulation replaces those of glue/system."""
 
 PURE: Final = ("glue", "glue/engine", "glue/hub", "glue/wire", "glue/taskspec", "glue/trajectory")
 """Folders that use no sockets, clocks or threads."""
@@ -102,7 +103,7 @@ PURE: Final = ("glue", "glue/engine", "glue/hub", "glue/wire", "glue/taskspec", 
 IMPURE: Final[Mapping[str, Sequence[str]]] = dict.fromkeys(
     (
         *("asyncio", "select", "signal", "socket", "subprocess", "threading", "time", "zmq"),
-        *("glue.doors.clock", "glue.doors.network", "glue.doors.threads"),
+        *("glue.system.clock", "glue.system.network", "glue.system.threads"),
     ),
     NOWHERE,
 )
@@ -124,7 +125,7 @@ def test_what_has_a_home_is_used_there_alone() -> None:
 
 
 def test_glue_asks_the_system_for_time_network_and_chance_at_one_door_each() -> None:
-    assert strays(DOORS, *(name for name in MAY_IMPORT if name.split("/")[0] == "glue")) == []
+    assert strays(SYSTEM, *(name for name in MAY_IMPORT if name.split("/")[0] == "glue")) == []
 
 
 def test_rules_without_io_see_no_sockets_clocks_or_threads() -> None:

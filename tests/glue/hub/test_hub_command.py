@@ -21,7 +21,7 @@ PROGRAM: Final = "from glue_rl.commands import hub; hub()"
 
 SLOW: Final = """
 import time
-from glue.doors import threads
+from glue.system import threads
 
 class Slow(threads.Thread):
     def start(self):
