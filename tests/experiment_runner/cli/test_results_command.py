@@ -5,6 +5,7 @@ import io
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -45,16 +46,24 @@ def result(trial: int, episode: int) -> EpisodeResult:
 def make(directory: Path, lengths: list[int], plan: Plan = PLAN) -> Path:
     """Make a run with these numbers of episodes in its trials."""
     with open_run(directory, plan, clock=lambda: 1_000_000_000.0) as store:
-        for trial, (spec, length) in enumerate(zip(plan.expand(), lengths, strict=True)):
-            for episode in range(1, length + 1):
-                checkpoint = Checkpoint(b"%d" % episode) if episode == 2 else None
-                store.record(spec.id, result(trial, episode), checkpoint)
+        checkpoints = {2: Checkpoint(b"2")}
+        if records := [
+            (spec.id, result(trial, episode), checkpoints.get(episode), (), ())
+            for trial, (spec, length) in enumerate(zip(plan.expand(), lengths, strict=True))
+            for episode in range(1, length + 1)
+        ]:
+            store.record_all(records)
     return directory
 
 
+@pytest.fixture(scope="module")
+def _made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make(tmp_path_factory.mktemp("made") / "run", [4, 4, 4, 3])
+
+
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
-    return make(tmp_path / "run", [4, 4, 4, 3])
+def run(_made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(_made, tmp_path / "run"))
 
 
 def call(*arguments: object) -> str:
