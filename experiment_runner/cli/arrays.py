@@ -12,17 +12,18 @@ from experiment_runner.executors.opening import FINISH, open_run, remaining
 from experiment_runner.executors.settings import RunConfig
 from experiment_runner.plan.plan import Plan
 from experiment_runner.report.tables import counted
-from experiment_runner.slurm.batch import (
+from experiment_runner.slurm.array import (
     MAX_TASKS,
     array_script,
     can_submit,
     check_folder,
     check_options,
+    divide,
+    gather,
     gathering_job,
     is_queued,
     submit,
 )
-from experiment_runner.slurm.parts import divide, gather
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.layout import PARTS, clear, replace_flushed
 from experiment_runner.store.store import Store

@@ -13,7 +13,7 @@ import pytest
 from agents.baselines import SkeletonAgent
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.executors.job import Line, Report
-from experiment_runner.executors.over_hub import Hints
+from experiment_runner.executors.over_hub import hints
 from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.executors.settings import BOTH, HubOptions, Placement
@@ -52,9 +52,9 @@ def test_hint_says_where_others_can_join(
     url: str, session: str, ports: Sequence[LegacyPort], hint: str
 ) -> None:
     lines: list[str] = []
-    hints = Hints(lines.append, url, session, {Role.ENVIRONMENT}, ports)
+    show = hints(lines.append, url, session, {Role.ENVIRONMENT}, ports)
     for missing in (BOTH, {Role.AGENT}, BOTH):
-        hints.show(missing)
+        show(missing)
     agent = f"waiting for an agent; in another terminal: glue-agent hierarchical{hint}"
     assert lines == [agent, "waiting for the environment to start", agent, agent]
 
@@ -146,13 +146,13 @@ class Stopped(Exception):
 
 def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
     """The line is printed again, since the terminal has scrolled by then."""
-    hints: list[str] = []
+    shown: list[str] = []
     leaves = threading.Event()
 
     def send(report: Report) -> None:
         if found := re.search(r"waiting for an agent; .* --hub (\S+)'", str(report)):
-            hints.append(found[0])
-            if len(hints) == 1:
+            shown.append(found[0])
+            if len(shown) == 1:
                 threading.Thread(target=leave_after_a_step, args=(found[1],), daemon=True).start()
 
     class Leaving(SkeletonAgent):
@@ -171,5 +171,5 @@ def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
         with pytest.raises(PeerLost):
             glue.rl_episode(9)
         assert leaves.is_set()
-    assert len(hints) == 2
-    assert hints[0] == hints[1]
+    assert len(shown) == 2
+    assert shown[0] == shown[1]

@@ -6,8 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.slurm.batch import array_script, check_folder, check_options, gathering_job
-from experiment_runner.slurm.parts import divide, gather
+from experiment_runner.slurm.array import (
+    array_script,
+    check_folder,
+    check_options,
+    divide,
+    gather,
+    gathering_job,
+)
 from experiment_runner.store.layout import PARTS, parts_of, runs_under
 from experiment_runner.store.lock import DirectoryTaken
 from experiment_runner.store.results import Results
