@@ -23,7 +23,7 @@ from tests.system.runs import contents
 
 PLAN = parse_plan("""
 episodes = 8
-max_steps = 150
+max_steps = 30
 
 [tune]
 configurations = 6
@@ -112,7 +112,7 @@ def test_the_best_configuration_runs_again_with_other_seeds(tmp_path: Path, prun
         assert "6 configurations" in event.text
 
 
-@pytest.mark.parametrize(("sampler", "budget"), [("random", {"episodes": 0, "steps": 301}), ("optuna", {})])
+@pytest.mark.parametrize(("sampler", "budget"), [("random", {"episodes": 0, "steps": 121}), ("optuna", {})])
 def test_an_interrupted_search_comes_to_the_same_choice(
     tmp_path: Path, sampler: str, budget: dict[str, int]
 ) -> None:
