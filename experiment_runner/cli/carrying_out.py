@@ -33,7 +33,7 @@ from experiment_runner.store.layout import clear
 from experiment_runner.store.records import TUNED, UNSEEDED
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from experiment_runner.view.starting import viewed
+from experiment_runner.view.launch import viewed
 from glue.cli.screen import has_color
 from glue.console import one_line, say
 from glue.errors import ConfigError

@@ -26,7 +26,7 @@ from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend, HubO
 from experiment_runner.plan.limits import BUDGETS, COUNTS, PLAYERS
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, budget, describe
-from experiment_runner.view.starting import check_view
+from experiment_runner.view.launch import check_view
 from glue import __version__
 from glue.cli.shared import (
     HUB_KEY_SETTINGS,

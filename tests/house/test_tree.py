@@ -21,6 +21,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
     "msgspec": [
+        "experiment_runner/competition/records/*",
         "experiment_runner/competition/settings.py",
         "experiment_runner/executors/job.py",
         "experiment_runner/loggers/stream.py",
@@ -31,7 +32,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],
     "click": ["*/cli/*", "glue/plugins/naming.py"],
-    "matplotlib": ["experiment_runner/report/*", "experiment_runner/study/paper/figures.py"],
+    "matplotlib": ["experiment_runner/report/*", "experiment_runner/study/paper/report.py"],
     "PIL": ["env_server/render/*"],
     "imageio_ffmpeg": ["env_server/render/*"],
     "sqlite3": ["experiment_runner/store/*"],
@@ -42,11 +43,13 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "scipy": ["experiment_runner/analysis/stats.py"],
     "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
-    "gymnasium": ["glue/gym/*", "env_server/gym/*", "env_server/datasets/*", "agents/ppo.py"],
+    "gymnasium": ["glue/gym/*", "glue/openenv/*", "env_server/gym/*", "env_server/datasets/*"],
     "stable_baselines3": ["glue/gym/sb3.py"],
-    "torch": ["agents/ppo.py", "experiment_runner/study/generalisation/imitation.py"],
+    "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*"],
-    "uvicorn": ["experiment_runner/view/server.py", "experiment_runner/view/connections.py"],
+    "openenv": ["glue/openenv/*"],
+    "pydantic": ["glue/openenv/serving.py"],
+    "uvicorn": ["glue/openenv/serving.py", "experiment_runner/view/server.py"],
     # Peers and files are not trusted.
     **dict.fromkeys(("pickle", "marshal", "shelve", "eval()", "exec()", "compile()"), NOWHERE),
     # Every random choice comes from a generator that was handed over.
@@ -54,16 +57,14 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     # Libraries name settings by their Python names; these show or start commands, or are programs themselves.
     "--option": [
         "*/cli/*",
-        "agents/ppo.py",
         "agents/soar/*",
         "experiment_runner/competition/containers.py",
         "experiment_runner/processes/children.py",
         "experiment_runner/executors/over_hub.py",
         "experiment_runner/plan/provenance.py",
         "experiment_runner/report/progress.py",
-        "experiment_runner/view/starting.py",
         "experiment_runner/slurm/array.py",
-        "experiment_runner/study/generalisation/imitation.py",
+        "experiment_runner/view/launch.py",
         "glue/conform/clients/mirror.py",
         "glue/plugins/naming.py",
         "glue/rlglue/package.py",
@@ -75,7 +76,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "*/cli/*",
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
-            "experiment_runner/competition/programs.py",  # passes it on
+            "experiment_runner/competition/starters.py",  # passes it on
             "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
             "glue/conform/clients/process.py",  # passes it on

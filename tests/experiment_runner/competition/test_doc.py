@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.cli.compete import compete
-from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Limits, load_competition, parse_competition
+from experiment_runner.competition.trials import trials
 from glue.cli.keys import keys
 from tests.pages import DOCS, ROOT, Block, blocks, run_block
 

@@ -17,9 +17,10 @@ import pytest
 
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
-from experiment_runner.competition.match import Forfeited, Match, play, starter_for
-from experiment_runner.competition.secret import trials
+from experiment_runner.competition.match import Forfeited, Match, play
 from experiment_runner.competition.settings import Entrant, Gate, Limits
+from experiment_runner.competition.starters import starter_for
+from experiment_runner.competition.trials import trials
 from glue.client.libzmq import new_pair
 from glue.client.players import serve_agent
 from glue.errors import GlueError

@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 from env_server.toys import MinesEnvironment
-from experiment_runner.competition.match import Forfeited, Played, starter_for
-from experiment_runner.competition.secret import agent_seed, draw, trials
+from experiment_runner.competition.match import Forfeited, Played
 from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starters import Launch, starter_for
+from experiment_runner.competition.trials import agent_seed, draw, trials
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from glue.engine.engine import role_seed
 from glue.errors import ConfigError, GlueError
@@ -212,7 +213,7 @@ def test_actions_that_no_record_can_hold_are_the_entrants_fault(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr("glue.trajectory.limits.MAX_EPISODE", 2**24)
-    monkeypatch.setattr("experiment_runner.competition.inside.MAX_EPISODE", 2**24)
+    monkeypatch.setattr("experiment_runner.competition.environment.MAX_EPISODE", 2**24)
 
     class Verbose(Walker):
         def act(self) -> Action:
@@ -240,8 +241,9 @@ def test_an_offence_that_is_known_at_the_end_is_a_forfeit_too(tmp_path: Path) ->
 class Interrupted(Thread):
     """A program that is ended by whatever runs it."""
 
-    reason: str | None = "the container engine went away"
-    lost = reason
+    def __init__(self, agent: Any, launch: Launch) -> None:
+        super().__init__(agent, launch)
+        self.reason = self.lost = "the container engine went away"
 
     def wait(self, seconds: float) -> bool:
         return True

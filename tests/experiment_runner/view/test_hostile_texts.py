@@ -26,20 +26,19 @@ from experiment_runner.report.tables import format_table, tabulate
 from experiment_runner.store.export import episode_table, metric_table, write_csv, write_json
 from experiment_runner.store.records import EpisodeResult, Reading
 from experiment_runner.store.results import Results
-from experiment_runner.view.catalog import Catalog
+from experiment_runner.view.catalog import Catalog, run_in_full
 from experiment_runner.view.curves import Wanted, curves
 from experiment_runner.view.export import as_page
 from experiment_runner.view.reader import as_json
-from experiment_runner.view.summary import run_in_full
 
 HOSTILE = "=cmd|x\x1b[2J\r\u202e\x9b31m<b>\nError: forged"
 PLAN = Plan(episodes=1, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which every text is hostile: of the folder, players, trials, failures, events, answers."""
-    directory = tmp_path / HOSTILE.replace("/", "")
+    directory = tmp_path_factory.mktemp("runs") / HOSTILE.replace("/", "")
     with open_run(directory, PLAN) as store:
         trial = store.trials()[0].spec.id
         read = (Reading(1, {"total reward": 1.0, "m": 1.0}),)
