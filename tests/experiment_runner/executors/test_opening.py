@@ -8,9 +8,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from experiment_runner.cli.make_plan import make_plan, role_sweeps
 
 from env_server.mario.pictures import digest_of
+from experiment_runner.cli.make_plan import make_plan, role_sweeps
 from experiment_runner.executors.opening import OtherRun, Remaining, open_run, remaining
 from experiment_runner.plan.file import dump_plan, load_plan
 from experiment_runner.plan.plan import Plan, RoleSweep
