@@ -15,9 +15,8 @@ import click
 from experiment_runner.cli.out import naming_out, over_option, select_option, selected
 from experiment_runner.loggers import LOGGERS
 from glue import __version__
-from glue.console import one_line, say
+from glue.console import did_you_mean, one_line, say
 from glue.errors import ConfigError, ExperimentError
-from glue.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

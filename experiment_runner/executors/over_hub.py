@@ -27,8 +27,7 @@ from glue.engine.experiment import Experiment
 from glue.hub.config import DEFAULT_HUB, Bind, HubConfig
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.listener import open_address
-from glue.hub.io.renewal import renewed_on_hangup
-from glue.hub.io.server import Hub
+from glue.hub.io.server import Hub, renewed_on_hangup
 from glue.keys.allowed import read_keys
 from glue.legacy.gateway import Gateway, open_legacy_port
 from glue.wire.messages import Event, Role

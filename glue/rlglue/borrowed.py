@@ -6,8 +6,7 @@ import inspect
 from typing import Annotated, Any, ClassVar, Final
 
 from glue.errors import ConfigError
-from glue.options import Option
-from glue.plugins.keywords import keywords, with_options
+from glue.options import Option, keywords, with_options
 
 _SEED: Final = "seed"
 _UNSTATED: Final = "VERSION rlglue"

@@ -4,9 +4,9 @@ An idle processor sleeps too, and in a virtual machine takes 50 to 100 microseco
 games would wait for that four times: on its way to the hub, to the agent, and back.
 
 Each part that adapts was left out in turn, with two cores busy, with one core, and beside two busy loops.
-Without rests after a lost core, 0.02 to 0.44 of the steps a second were left; with rests that do not double, 0.8 where
-two programs share a core; if no wait is skipped after a spin without success, 0.35 to 1.0, and beside a player
-that takes a millisecond the hub took 3.6 times the CPU.
+Without rests after a lost core, 0.02 to 0.44 of the steps a second were left; with rests that do not double,
+0.8 where two programs share a core; if no wait is skipped after a spin without success, 0.35 to 1.0, and
+beside a player that takes a millisecond the hub took 3.6 times the CPU.
 """
 
 from __future__ import annotations

@@ -33,8 +33,7 @@ from typing import Final
 
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.system import chance
-from glue.wire.frames import LONG, LONG_HEAD, MAX_SHORT, MORE, SHORT_HEAD
-from glue.wire.zmtp import HandshakeRefused
+from glue.wire.zmtp import LONG, LONG_HEAD, MAX_SHORT, MORE, SHORT_HEAD, HandshakeRefused
 
 try:
     from nacl._sodium import ffi, lib

@@ -14,9 +14,9 @@ from glue.hub.config import Bind, HubConfig
 from glue.hub.sessions import INSTANCE_SIZE, Sessions
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.limits import MAX_NAME
 from glue.wire.messages import (
     CALLS,
+    MAX_NAME,
     PROTOCOL_VERSION,
     THREE_ROLES,
     Body,

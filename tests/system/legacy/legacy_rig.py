@@ -21,8 +21,7 @@ from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPeer
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation
-from glue.wire.limits import MAX_BODY
-from glue.wire.messages import Kind, Message, Value
+from glue.wire.messages import MAX_BODY, Kind, Message, Value
 from tests.system.legacy import legacy_client
 from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, Style, play_agent, play_environment
 from tests.system.runs import wait_until
