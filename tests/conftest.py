@@ -27,6 +27,7 @@ FOLDERS: Final = {
     "experiment_runner/view/browser": "page",
     **{f"env_server/gym/test_{name}.py": "gymnasium" for name in ("pufferlib", "torchrl")},
     "glue/gym/test_sb3.py": "gymnasium",
+    "glue/openenv/test_openenv.py": "openenv",
     "jails": "containers",
     "model": "model",
     "package/test_coming_from.py": "coming_from",

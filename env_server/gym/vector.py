@@ -24,7 +24,7 @@ from env_server.gym.spaces import (
 )
 from env_server.mario.many.games import DISABLED, INFOS, NEXT_STEP, SAME_STEP, Games
 from glue.errors import ConfigError, SimulatorError
-from glue.gym.modes import AutoresetMode, read_mode
+from glue.gym.vectors import AutoresetMode, read_mode
 
 _MODES = {
     AutoresetMode.NEXT_STEP: NEXT_STEP,

@@ -9,7 +9,7 @@ from pathlib import Path
 from experiment_runner.cli.carrying_out import note_players_without_seed, resume_options
 from experiment_runner.cli.out import naming_out
 from experiment_runner.executors.opening import FINISH, open_run, remaining
-from experiment_runner.executors.run import RunConfig
+from experiment_runner.executors.settings import RunConfig
 from experiment_runner.plan.plan import Plan
 from experiment_runner.report.tables import counted
 from experiment_runner.slurm.batch import (

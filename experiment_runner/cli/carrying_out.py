@@ -22,9 +22,9 @@ from experiment_runner.executors.opening import (
     open_run,
     remaining,
 )
-from experiment_runner.executors.players import HubOptions
 from experiment_runner.executors.recording import recorded
-from experiment_runner.executors.run import RunConfig, run_trials
+from experiment_runner.executors.run import run_trials
+from experiment_runner.executors.settings import HubOptions, RunConfig
 from experiment_runner.plan.limits import PLAYERS
 from experiment_runner.plan.plan import Plan, class_files
 from experiment_runner.report.progress import JsonLines, Progress

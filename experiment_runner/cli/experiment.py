@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import Any, Final, TextIO
 
 import click
 from click.core import ParameterSource
@@ -22,7 +22,7 @@ from experiment_runner.cli.planning import (
     own_directory,
     role_sweeps,
 )
-from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend
+from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend, HubOptions, Placement, RunConfig
 from experiment_runner.plan.limits import BUDGETS, COUNTS, PLAYERS
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, budget, describe
@@ -47,9 +47,6 @@ from glue.hub.config import (
 )
 from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
-
-if TYPE_CHECKING:
-    from experiment_runner.executors.players import HubOptions
 
 _GROUPS: Final = {
     "Episodes and their results": (
@@ -312,8 +309,6 @@ def _experiment(options: Options, results: TextIO | None) -> int:
     """Carry out the command; `results` receives JSON lines, None for a table on standard output."""
     from experiment_runner.cli.arrays import carry_out_array
     from experiment_runner.cli.carrying_out import carry_out, carry_out_search, check_players, check_recording
-    from experiment_runner.executors.players import Placement
-    from experiment_runner.executors.run import RunConfig
 
     plan, given = _planned(options)
     inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
@@ -395,8 +390,6 @@ def _hub_options(options: Options) -> HubOptions:
     Raises:
         ConfigError: options contradict each other, or an address is malformed.
     """
-    from experiment_runner.executors.players import HubOptions
-
     in_process = options.in_process or PLAYERS.keys() <= {*options.inside}
     isolated = in_process or options.workers or options.engine != Backend.LOCAL
     ours = {"--bind": options.bind, "--legacy-port": options.legacy_port, "--keys": options.keys}

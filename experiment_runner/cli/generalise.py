@@ -14,7 +14,7 @@ import click
 from experiment_runner.cli.backend import backend_options, check_backend
 from experiment_runner.cli.out import naming_out
 from experiment_runner.cli.planning import own_directory
-from experiment_runner.executors.settings import Backend
+from experiment_runner.executors.settings import BOTH, Backend, Placement, RunConfig
 from experiment_runner.plan.plan import RoleSpec
 from glue import __version__
 from glue.console import say
@@ -45,7 +45,7 @@ _T = TypeVar("_T")
     "sets",
     multiple=True,
     metavar="NAME",
-    help="Score this set of levels, or with NAME:N its first N, or the levels in the files *.txt of a folder, "
+    help="Score this set of levels, or with NAME:N its first N, or the levels in *.txt of a folder, "
     "for each difficulty, in place of --train and --test. Repeat it for several.",
 )
 @click.option(
@@ -144,8 +144,7 @@ def generalise(
     """
     if context.invoked_subcommand:
         return 0
-    from experiment_runner.executors.players import BOTH, Placement
-    from experiment_runner.executors.run import RunConfig, run_trials
+    from experiment_runner.executors.run import run_trials
     from experiment_runner.report.progress import Progress
     from experiment_runner.store.database import reported
     from experiment_runner.study.generalisation.benchmark import (

@@ -17,11 +17,13 @@ from functools import partial
 from typing import Any, Final
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from glue import __version__
 from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, reporting
 from glue.console import LOG, errors_only
+from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.options import Parameter, Value, parameters
 from glue.plugins.loading import construct, find, names, summaries, without_seed
@@ -118,6 +120,8 @@ def _serving(role: Role, name: str, factory: type, extras: Sequence[Extra]) -> c
         _wait: float | None,
         _quiet: bool,
         _batch: int | None = None,
+        _openenv: str | None = None,
+        _insecure: bool = False,
         **options: Value | None,
     ) -> None:
         from glue.client.players import serve_agent, serve_environment
@@ -126,6 +130,9 @@ def _serving(role: Role, name: str, factory: type, extras: Sequence[Extra]) -> c
         added = [(extra, options.pop(str(extra.option.name))) for extra in extras]
         given = {key: value for key, value in options.items() if value is not None}
         make = partial(construct, factory, given)
+        if _openenv is not None:
+            _serve_openenv(make, name, _openenv, _insecure)
+            return
         players: dict[str, Any] = {
             one: make() if _batch is None else make_batch(name, make, _batch) for one in _session
         }
@@ -174,13 +181,41 @@ def _serving(role: Role, name: str, factory: type, extras: Sequence[Extra]) -> c
     ]
     if role is Role.ENVIRONMENT:
         text = "Serve N games as one environment, to an agent that acts in all of them at once."
-        common.append(click.Option(["--batch", "_batch"], type=click.IntRange(1), metavar="N", help=text))
+        common += [
+            click.Option(["--batch", "_batch"], type=click.IntRange(1), metavar="N", help=text),
+            click.Option(
+                ["--openenv", "_openenv"],
+                metavar="HOST:PORT",
+                help="Serve OpenEnv's clients at this address, instead of a hub: a game for each connection.",
+            ),
+            click.Option(
+                ["--insecure", "_insecure"],
+                is_flag=True,
+                help="With --openenv, allow an address that other machines can reach.",
+            ),
+        ]
     options = [*(_option(parameter) for parameter in known.values()), *common]
     for option in options:
         # An environment variable would reach the players of an experiment, which would not record it.
         option.allow_from_autoenv = False
     examples = f"\b\nExamples:\n{_examples(role, name, known)}"
     return click.Command(name, callback=reporting(start), params=[*options], help=summary, epilog=examples)
+
+
+def _serve_openenv(make: Callable[[], Any], name: str, address: str, insecure: bool) -> None:
+    """Serve environments without a hub.
+
+    Raises:
+        ConfigError: an option of the hub was given, too; see also `glue.openenv.serve`.
+    """
+    from glue.openenv import serve
+
+    context = click.get_current_context()
+    for option in ("_hub", "_session", "_key", "_hub_key", "_wait", "_batch"):
+        if context.get_parameter_source(option) is ParameterSource.COMMANDLINE:
+            flag = option.replace("_", "-").lstrip("-")
+            raise ConfigError(f"--openenv serves without a hub: leave out --{flag}")
+    serve(make, name, address, insecure=insecure)
 
 
 def _help(docstring: str) -> str:

@@ -18,8 +18,7 @@ from glue.client.players import serve_agent
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, SimulatorError, TaskSpecError
-from glue.gym.codec import Codec
-from glue.gym.leaves import SpaceLike
+from glue.gym.codec import Codec, SpaceLike
 from glue.gym.spaces import read_spaces
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.roles import Agent, Environment

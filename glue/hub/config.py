@@ -136,7 +136,7 @@ class Bind:
         """Who else can join, unless keys or a file mode prevent it; otherwise empty."""
         if self.keys is not None or (self.url.startswith("ipc://") and self.url[6] != "@"):
             return ""
-        return "every user of this machine" if _is_local(self.url) else "everyone who reaches this machine"
+        return "every user of this machine" if is_local(self.url) else "everyone who reaches this machine"
 
     def announcement(self, endpoint: str) -> str:
         """Return a line that says where the hub listens, and who else can join there."""
@@ -222,7 +222,7 @@ class HubConfig:
 
     def __post_init__(self) -> None:
         for bind in self.binds:
-            if not self.insecure and bind.keys is None and not _is_local(bind.url):
+            if not self.insecure and bind.keys is None and not is_local(bind.url):
                 raise ConfigError(
                     f"{bind.url} can be reached from other machines, and peers are not authenticated: "
                     "require keys (see glue-keys), bind tcp://127.0.0.1:PORT, or set insecure if the network "
@@ -294,7 +294,7 @@ class LegacyPort:
             )
         host = match["host"] or "127.0.0.1"
         url = check_url(f"tcp://{host}:{match['port']}")
-        if not insecure and not _is_local(url):
+        if not insecure and not is_local(url):
             raise ConfigError(
                 f"{host} can be reached from other machines, and RL-Glue programs are not authenticated: "
                 "leave the host out, or set insecure if the network is your own",
@@ -342,7 +342,8 @@ def check_session(name: str) -> str:
     return name
 
 
-def _is_local(url: str) -> bool:
+def is_local(url: str) -> bool:
+    """Return whether only this machine can reach an address."""
     match = _TCP.fullmatch(url)
     if match is None:
         return True

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from experiment_runner.executors.opening import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.study.paper.experiments import EXPERIMENTS, PaperLevel, plan_of
 from experiment_runner.study.paper.report import END
@@ -67,7 +67,7 @@ def test_best_is_held_against_goals_at_every_difficulty() -> None:
 
 def test_the_page_has_the_table_that_is_printed(tmp_path: Path) -> None:
     plan = plan_of(EXPERIMENTS["sample"], episodes=1, trials=1)
-    with create_run(tmp_path / "sample", plan) as store:
+    with open_run(tmp_path / "sample", plan) as store:
         store.record(plan.expand()[0].id, EpisodeResult(1, 130.0, 300, True, 0.01))
     page = tmp_path / "page.md"
     page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")

@@ -10,7 +10,7 @@ import pytest
 
 from agents.mohan2010.hierarchical import HierarchicalAgent
 from env_server.mario.environment import InfiniteMario
-from experiment_runner.executors.opening import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.study.paper.experiments import EXPERIMENTS, plan_of
 from glue.engine.local import local
@@ -119,7 +119,7 @@ def test_trials_are_compared_in_pairs_over_the_values_that_both_have(tmp_path: P
     falling = rising[::-1]
     saves = [on_soar(rising), on_soar([*rising[:-1], 0.0]), ours(rising), ours(falling)]
     plan = plan_of(EXPERIMENTS["soar-5"], episodes=1, trials=2)
-    with create_run(tmp_path / "soar-5", plan) as store:
+    with open_run(tmp_path / "soar-5", plan) as store:
         for spec, save in zip(plan.expand(), saves, strict=True):
             store.record(spec.id, EpisodeResult(1, 1.0, 1, True, 0.01), Checkpoint(save, b""))
     (found,) = agreements(tmp_path)

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import VERSION
-from experiment_runner.executors.opening import check_sources, open_trials, sources_of
+from experiment_runner.executors.opening import Definition, open_run
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
@@ -188,12 +188,10 @@ def open_benchmark(directory: Path, benchmark: Benchmark, say: Callable[[str], N
         changed = [f"{name} is {recorded[name]}" for name in wanted if recorded[name] != wanted[name]]
         if changed or [record.spec for record in store.trials()] != specs:
             raise ExperimentError(f"{directory} is the run of another benchmark ({'; '.join(changed)})")
-        check_sources(directory, sources)
 
-    specs = benchmark.trials()
-    sources = sources_of([benchmark.player(seed) for seed in benchmark.seeds])
-    files = {BENCHMARK_FILE: benchmark.dump()}
-    return open_trials(directory, specs, files, check, sources=sources, say=say)
+    specs, files = benchmark.trials(), {BENCHMARK_FILE: benchmark.dump()}
+    players = [benchmark.player(seed) for seed in benchmark.seeds]
+    return open_run(directory, Definition(specs, files, players, check), say=say)
 
 
 def document(results: Results, benchmark: Benchmark) -> Document:

@@ -18,7 +18,7 @@ from glue.conform.messages import described, same
 from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.types import CUT_OFF, AbstractType, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
-from glue.wire.messages import OUTCOME, ErrorCode, Event, Kind, Role
+from glue.wire.messages import OUTCOME, ErrorCode, Event, Kind, Message, Role
 
 RULES: Final = Rules((Role.EXPERIMENT,))
 
@@ -240,12 +240,14 @@ def notices(kit: ExperimentHarness) -> None:
         raise Broken(f"the notices {expected}", str(lines))
 
 
+def _reports(message: Message) -> bool:
+    return message.kind is Kind.RL_ENV_STEP
+
+
 def _notices(kit: ExperimentHarness) -> list[str]:
     kit.do()
     kit.send_frames(kit.ordering("notices"))
-    got, frames = kit.next("RL_ENV_STEP with the notices as chars")
-    if got.kind is not Kind.RL_ENV_STEP:
-        raise Broken("RL_ENV_STEP with the notices as chars", described(got), frames)
+    got = kit.expect("RL_ENV_STEP with the notices as chars", _reports)
     kit.took(got)
     return Action.from_body(got.body).chars.decode(errors="replace").splitlines()
 
@@ -290,7 +292,7 @@ def _cut_off(kit: ExperimentHarness, order: Order) -> None:
     kit.matches(expected, got, frames)
 
 
-@RULES.add(Tier.COMPLETE, "capabilities", level=Requirement.MAY, capability=OUTCOME)
+@RULES.add(Tier.COMPLETE, "capabilities", capability=OUTCOME)
 def outcome(kit: ExperimentHarness) -> None:
     """The reply to RL_EPISODE may have return and number of steps, or not."""
     older = Order("RL_EPISODE", b"0", scalars=(True,))
@@ -334,10 +336,7 @@ def broken_text(kit: ExperimentHarness) -> None:
     for text in NOT_UTF_8:
         kit.asks(Order("RL_AGENT_MESSAGE", b"?"))
         kit.send(Kind.RL_AGENT_MESSAGE, seq=kit.request.seq, body=text)
-        got, frames = kit.next("RL_ENV_STEP")
-        if got.kind is not Kind.RL_ENV_STEP:
-            raise Broken("RL_ENV_STEP with some text", described(got), frames)
-        kit.took(got)
+        kit.took(kit.expect("RL_ENV_STEP with some text", _reports))
     kit.do(Order("RL_RETURN", scalars=(1.0,)))
 
 
@@ -379,9 +378,7 @@ def end(kit: ExperimentHarness) -> None:
     """The experiment says GOODBYE before it ends."""
     kit.do()
     kit.send_frames(kit.ordering("end"))
-    got, frames = kit.next("GOODBYE")
-    if got.kind is not Kind.GOODBYE:
-        raise Broken("GOODBYE", described(got), frames)
+    kit.expect("GOODBYE", lambda got: got.kind is Kind.GOODBYE)
     kit.cut()
     code = kit.client.wait(kit.wait)
     if code != 0:

@@ -1,4 +1,4 @@
-"""Draws levels as text pictures at random: ground with gaps and steps, pipes, walls, platforms, blocks, monsters.
+"""Draws levels as text pictures at random: ground with gaps and steps, pipes, walls, blocks, monsters.
 
 Many cannot be finished: a gap may be too wide, and a wall too high.
 """

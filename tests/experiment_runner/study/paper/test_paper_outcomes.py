@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from experiment_runner.executors.opening import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, PaperLevel, plan_of
@@ -83,7 +83,7 @@ def test_published_numbers_are_of_the_papers_agent_and_difficulty_alone() -> Non
 def test_load_returns_what_is_there_in_the_order_of_the_experiments(tmp_path: Path) -> None:
     for name in ("4", "sample"):
         plan = plan_of(EXPERIMENTS[name], episodes=2, trials=2)
-        with create_run(tmp_path / name, plan) as store:
+        with open_run(tmp_path / name, plan) as store:
             for number, spec in enumerate(plan.expand()[:3]):
                 for episode in (1, 2):
                     store.record(spec.id, EpisodeResult(episode, float(number), 10, True, 0.5))
@@ -96,7 +96,7 @@ def test_load_returns_what_is_there_in_the_order_of_the_experiments(tmp_path: Pa
 
 
 def test_load_refuses_the_run_of_something_else(tmp_path: Path) -> None:
-    with create_run(tmp_path / "4", Plan(episodes=1, environments=(RoleSweep("mines"),))):
+    with open_run(tmp_path / "4", Plan(episodes=1, environments=(RoleSweep("mines"),))):
         pass
     with pytest.raises(ExperimentError, match="not a run of experiment 4"):
         load(tmp_path)

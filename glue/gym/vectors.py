@@ -1,11 +1,28 @@
-"""Infos of Gymnasium's vector environments, split into a dict for each game."""
+"""Gymnasium's vector environments: when their next episode begins, and their infos, split for each game."""
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from glue.errors import ConfigError
+
+try:
+    from gymnasium.vector import AutoresetMode
+except ImportError:
+
+    class AutoresetMode(Enum):  # type: ignore[no-redef]
+        """As in Gymnasium 1.1; 1.0 has none, and behaves like NEXT_STEP."""
+
+        NEXT_STEP = "NextStep"
+        SAME_STEP = "SameStep"
+        DISABLED = "Disabled"
+
+
+__all__ = ["AutoresetMode", "infos_of_step", "read_mode", "split"]
 
 Flags = npt.NDArray[np.bool_]
 
@@ -43,3 +60,16 @@ def _one(infos: dict[str, Any], i: int) -> dict[str, Any]:
         if not name.startswith("_") and (mask is None or mask[i]):
             found[name] = _one(values, i) if isinstance(values, dict) else values[i]
     return found
+
+
+def read_mode(mode: object) -> AutoresetMode:
+    """Return the mode that a user gave, as a member or by its value.
+
+    Raises:
+        ConfigError: there is no such mode.
+    """
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        known = ", ".join(repr(known.value) for known in AutoresetMode)
+        raise ConfigError(f"autoreset_mode is one of {known}, not {mode!r:.80}") from None
