@@ -201,25 +201,27 @@ class _Curve:
         """Return the bytes of a message of at least one frame, the last of which has these flags."""
         parts: list[bytes] = []
         boxes: list[tuple[int, int, bytes]] = []  # where each begins, the size of its content, and its nonce
-        at, left = 0, len(frames)
+        at, left, sent = 0, len(frames), self._sent
         for frame in frames:
             left -= 1
-            nonce, size = self._next_nonce(), len(frame) + _LEAST_MESSAGE
-            flags_inside = MORE if left else flags
+            sent += 1
+            nonce, size = _NONCE.pack(sent), len(frame) + _LEAST_MESSAGE
+            inside = MORE if left else flags
             if size <= MAX_SHORT:
-                unsealed = _SHORT_UNSEALED.pack(0, size, _MESSAGE, nonce, flags_inside)
+                unsealed = _SHORT_UNSEALED.pack(0, size, _MESSAGE, nonce, inside)
                 at += _SHORT.size
             else:
-                unsealed = _LONG_UNSEALED.pack(LONG, size, _MESSAGE, nonce, flags_inside)
+                unsealed = _LONG_UNSEALED.pack(LONG, size, _MESSAGE, nonce, inside)
                 at += _LONG.size
             parts += unsealed, frame
             boxes.append((at, 1 + len(frame), self._prefix + nonce))
             at += size - _BOX_AT
+        self._sent = sent
         # Sealed in place: of a large message, the only copy is the one that is sent.
         message = bytearray().join(parts)
         start, key = ffi.from_buffer(message), self._key
         for at, size, nonce in boxes:
-            _seal(start + at, start + at + _MAC, size, nonce, key)
+            _seal(start + at, start + (at + _MAC), size, nonce, key)
         return message
 
     def _count(self, nonce: bytes) -> None:
