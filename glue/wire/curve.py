@@ -86,8 +86,11 @@ _NONCE: Final = struct.Struct(">Q")
 _SHORT, _LONG = struct.Struct(">BB8s8s"), struct.Struct(">BQ8s8s")
 """A MESSAGE up to its box: the head of the frame, its name, and its nonce."""
 
-_SHORT_UNSEALED, _LONG_UNSEALED = struct.Struct(">BB8s8s16xB"), struct.Struct(">BQ8s8s16xB")
+_SHORT_UNSEALED, _LONG_UNSEALED = struct.Struct(">BB8sQ16xB"), struct.Struct(">BQ8sQ16xB")
 """The same, with room for the authenticator of the box, and the flags that it begins with."""
+
+_BOX_NONCE: Final = struct.Struct(">16sQ")
+"""The nonce of a box: a prefix, and the number that its message has in its place."""
 
 _seal: Final = lib.crypto_box_easy_afternm
 _open: Final = lib.crypto_box_open_easy_afternm
@@ -100,7 +103,6 @@ def public_key(secret: bytes) -> bytes:
 
 
 def _short_term_pair() -> tuple[bytes, bytes]:
-    """Return a new public key and its secret key."""
     secret = chance.random_bytes(_KEY)
     return public_key(secret), secret
 
@@ -205,16 +207,16 @@ class _Curve:
         for frame in frames:
             left -= 1
             sent += 1
-            nonce, size = _NONCE.pack(sent), len(frame) + _LEAST_MESSAGE
+            size = len(frame) + _LEAST_MESSAGE
             inside = MORE if left else flags
             if size <= MAX_SHORT:
-                unsealed = _SHORT_UNSEALED.pack(0, size, _MESSAGE, nonce, inside)
+                unsealed = _SHORT_UNSEALED.pack(0, size, _MESSAGE, sent, inside)
                 at += _SHORT.size
             else:
-                unsealed = _LONG_UNSEALED.pack(LONG, size, _MESSAGE, nonce, inside)
+                unsealed = _LONG_UNSEALED.pack(LONG, size, _MESSAGE, sent, inside)
                 at += _LONG.size
             parts += unsealed, frame
-            boxes.append((at, 1 + len(frame), self._prefix + nonce))
+            boxes.append((at, 1 + len(frame), _BOX_NONCE.pack(self._prefix, sent)))
             at += size - _BOX_AT
         self._sent = sent
         # Sealed in place: of a large message, the only copy is the one that is sent.
