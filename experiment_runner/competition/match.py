@@ -37,8 +37,7 @@ from glue.hub.io.server import Hub
 from glue.options import build
 from glue.plugins.loading import find
 from glue.trajectory import ActionWriter, Ending
-from glue.wire.limits import MAX_BODY
-from glue.wire.messages import Event, Role
+from glue.wire.messages import MAX_BODY, Event, Role
 
 MODULE: Final = "experiment_runner.competition.match"
 

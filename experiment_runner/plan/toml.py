@@ -12,9 +12,9 @@ from typing import Any, Final, TypeVar, get_args, get_type_hints
 
 import msgspec
 
+from glue.console import did_you_mean
 from glue.errors import ExperimentError
 from glue.files import read_regular
-from glue.suggestions import did_you_mean
 
 _T = TypeVar("_T")
 
