@@ -21,13 +21,13 @@ from hypothesis import settings
 
 FOLDERS: Final = {
     "agents/soar": "soar",
-    "agents/test_ppo.py": "studies",
     "clients": "clients",
     "experiment_runner/loggers": "loggers",
     "experiment_runner/study": "studies",
     "experiment_runner/view/browser": "page",
     **{f"env_server/gym/test_{name}.py": "gymnasium" for name in ("pufferlib", "torchrl")},
     "glue/gym/test_sb3.py": "gymnasium",
+    "glue/openenv/test_openenv.py": "openenv",
     "jails": "containers",
     "model": "model",
     "package/test_coming_from.py": "coming_from",
@@ -35,6 +35,7 @@ FOLDERS: Final = {
     "package/test_names.py": "package",
     "package/test_notebooks.py": "notebooks",
     "package/test_site.py": "site",
+    "studies": "studies",
     "system/slurm": "slurm",
     "system/test_ray.py": "ray",
 }

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from experiment_runner.cli.out import naming_out
+from experiment_runner.cli.options import naming_out
 from experiment_runner.plan.plan import Plan, check_options
 from experiment_runner.study.paper.experiments import ALL, EPISODES, EXPERIMENTS, SOAR, TRIALS, plan_of
 from glue import __version__
@@ -108,8 +108,8 @@ def paper(
 def _run(directory: Path, plan: Plan, workers: int) -> int:
     """Run the remaining trials of a plan; return the number of trials that failed."""
     from experiment_runner.executors.opening import open_run
-    from experiment_runner.executors.players import BOTH, Placement
-    from experiment_runner.executors.run import RunConfig, run_trials
+    from experiment_runner.executors.run import run_trials
+    from experiment_runner.executors.settings import BOTH, Placement, RunConfig
     from experiment_runner.report.progress import Progress
     from glue.cli.screen import has_color
 

@@ -261,7 +261,15 @@ def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> st
                 f"{'only this one' if trial_id in theirs else 'only that one'} has trial {trial_id}: {hint}"
             )
     changed = next(trial_id for trial_id in ours if ours[trial_id] != theirs[trial_id])
-    if _without_secret(ours[changed]) == _without_secret(theirs[changed]):
+    was, now = ours[changed], theirs[changed]
+    if was.environment and now.environment and was.seed == now.seed:
+        options, others = was.environment.options, now.environment.options
+        for name in options.keys() & others.keys():
+            if options[name] != others[name]:
+                return (
+                    f"{name} of {changed} was {options[name]}, not {others[name]}: put that back, or {hint}"
+                )
+    if _without_secret(was) == _without_secret(now):
         return f"its levels were drawn from another secret seed: put that back, or {hint}"
     return f"trial {changed} is another one: {hint}"
 

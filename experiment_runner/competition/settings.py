@@ -60,6 +60,7 @@ class Task:
         steps: number of steps, over as many episodes as it takes; 0 if `episodes` limits the task.
         max_steps: the step limit of an episode, see `Experiment.rl_episode`; 0 for none. RL_num_steps is 1
             before the first step, so the least limit is 2.
+        levels: files of the levels of its trials, the first again after the last; none if a seed is drawn.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Task:
     episodes: _Count = 0
     steps: _Count = 0
     max_steps: Annotated[int, Meta(ge=2, lt=2**31)] = 0
+    levels: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +207,7 @@ def _tables(document: Mapping[str, Any], kind: str) -> list[tuple[str, Any]]:
 
 def _task(name: str, table: object, folder: Path) -> Task:
     where = ("tasks", name)
-    task = converted(Task, table, f"task {name}", *where, name=name)
+    task = converted(Task, table, f"task {name}", *where, base=folder, name=name)
     if (task.episodes == 0) == (task.steps == 0):
         raise SettingError(f"task {name} needs its length: episodes = 20, or steps = 100_000", *where)
     for option, value in task.options.items():

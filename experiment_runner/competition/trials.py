@@ -16,6 +16,8 @@ from typing import Final
 from experiment_runner.competition.settings import Competition, Task
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.plan.user_files import with_digests
+from experiment_runner.store.database import reported
 from glue.errors import ConfigError
 from glue.files import open_regular
 from glue.options import Value, build, parameters
@@ -25,6 +27,9 @@ from glue.wire.messages import Role
 _LEVEL_SEED: Final = "level_seed"
 _NAMES_A_LEVEL: Final = (_LEVEL_SEED, "mdp")
 """Options with which a task itself names its level."""
+_LEVEL: Final = "level"
+_LEVEL_DIGEST: Final = "level_digest"
+"""Options of an environment that reads a level from a file."""
 
 _SEED_BITS: Final = 63
 _MAX_SECRET: Final = 65_536
@@ -89,7 +94,7 @@ def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
         for number in range(competition.trials):
             name = str(number)
             seed = draw(secret, "trial", task.name, name)
-            environment = _environment(task, draw(secret, _LEVEL_SEED, task.name, name))
+            environment = _environment(task, draw(secret, _LEVEL_SEED, task.name, name), number)
             specs += [
                 TrialSpec(
                     id=TrialId.of(entrant.name, task.name, number),
@@ -121,11 +126,20 @@ def agent_seed(spec: TrialSpec) -> int:
     return draw(spec.seed.to_bytes(8, "little"), "agent")
 
 
-def _environment(task: Task, level_seed: int | None) -> RoleSpec:
+def _environment(task: Task, level_seed: int | None, number: int = 0) -> RoleSpec:
     factory = find(Role.ENVIRONMENT, task.env)
     options: dict[str, Value] = dict(task.options)
-    drawn = parameters(factory).get(_LEVEL_SEED)
-    if drawn is not None and level_seed is not None and not options.keys() & _NAMES_A_LEVEL:
+    known = parameters(factory)
+    if _LEVEL_DIGEST in known and _LEVEL in options:
+        raise ConfigError(f"task {task.name}: levels from files are not an option: levels = [...]")
+    if task.levels and _LEVEL_DIGEST not in known:
+        raise ConfigError(f"task {task.name}: {task.env} reads no levels from files: leave out levels")
+    drawn = known.get(_LEVEL_SEED)
+    if task.levels and level_seed is not None:
+        path = str(task.levels[number % len(task.levels)].absolute())
+        with reported("cannot read a level"):
+            options = with_digests({**options, _LEVEL: path}, known)
+    elif drawn is not None and level_seed is not None and not options.keys() & _NAMES_A_LEVEL:
         low = 0 if drawn.option.low is None else max(0, int(drawn.option.low))
         high = 2**31 - 1 if drawn.option.high is None else int(drawn.option.high)
         options[_LEVEL_SEED] = low + level_seed % (high - low + 1)

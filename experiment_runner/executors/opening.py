@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from experiment_runner.plan.file import dump_plan, load_plan
@@ -77,80 +76,47 @@ class Remaining(NamedTuple):
         return f"{where}; {again} run again" if self.dropped else where
 
 
-def create_run(directory: Path, plan: Plan, *, clock: Callable[[], float] = time.time) -> Store:
-    """Return the store of a new run.
+class Definition(NamedTuple):
+    """What defines a run, apart from a plan.
 
-    Raises:
-        ExperimentError: as `Store.create`.
+    specs    its trials
+    files    contents of the files that describe it, by name
+    players  the players whose files are copied, and may not change while the run is unfinished
+    check    called with the store of a run in the directory; raises ExperimentError if it is another run
     """
-    files = {PLAN_FILE: dump_plan(plan)}
-    return create_trials(directory, plan.expand(), files, sources=sources_of(_players(plan)), clock=clock)
+
+    specs: Sequence[TrialSpec]
+    files: Mapping[str, str]
+    players: Sequence[RoleSpec | RoleSweep]
+    check: Callable[[Store], None]
 
 
-def create_trials(
+def open_run(
     directory: Path,
-    specs: Sequence[TrialSpec],
-    files: Mapping[str, str],
+    run: Plan | Definition,
     *,
-    sources: Mapping[str, UserFile] = MappingProxyType({}),
+    say: Callable[[str], None] = lambda line: None,
     clock: Callable[[], float] = time.time,
 ) -> Store:
-    """Return the store of a new run with these trials.
+    """Return the store of a run: a new one, or the one in the directory, prepared to continue.
 
     Args:
-        directory: contains the run.
-        specs: its trials.
-        files: contents of the files that define it, by name.
-        sources: the user files that it loads, by path.
+        directory: contains the run, or will contain it.
+        run: its plan, or what else defines it. The classes of its players must have been found.
+        say: shows a line about each interrupted trial, and about an extension of the run.
         clock: returns seconds since 1970.
 
     Raises:
-        ExperimentError: as `Store.create`.
+        ExperimentError: the directory holds something else, is in use, or cannot be written to.
+        OtherRun: its run has another plan, or a file was changed since it began.
     """
-    found = about()
-    copies: dict[str, bytes] = {}
-    for path, (sha256, content) in sources.items():
-        found["files"][path] = {"sha256": sha256}
-        if content is not None:
-            name = f"{SOURCES}/{sha256[:12]}-{Path(path).name}"
-            found["files"][path]["copy"] = name
-            copies[name] = content
-    contents: dict[str, str | bytes] = {**files, **copies, ABOUT_FILE: json.dumps(found, indent=2) + "\n"}
-    store = Store.create(directory, specs, contents, clock=clock)
-    store.record_event("start", found["program"])
-    return store
-
-
-def resume_run(
-    directory: Path, plan: Plan | None = None, *, clock: Callable[[], float] = time.time
-) -> tuple[Store, list[Remaining]]:
-    """Return the store of an interrupted run, prepared to continue, and the unfinished trials.
-
-    Args:
-        directory: contains the run.
-        plan: the plan that the run must have; None for any.
-        clock: returns seconds since 1970.
-
-    Raises:
-        ExperimentError: as `Store.open`.
-        OtherRun: the run has another plan, or a file was changed since it began.
-    """
-    return resume_trials(directory, lambda store: _match(store, plan, lambda line: None), clock=clock)
-
-
-def resume_trials(
-    directory: Path, check: Callable[[Store], None], *, clock: Callable[[], float] = time.time
-) -> tuple[Store, list[Remaining]]:
-    """Return the store of an interrupted run, prepared to continue, and the unfinished trials.
-
-    Args:
-        directory: contains the run.
-        check: raises an error if the run is not the expected one.
-        clock: returns seconds since 1970.
-
-    Raises:
-        ExperimentError: as `Store.open` and `check`.
-    """
+    run = _defined_by(run, say) if isinstance(run, Plan) else run
+    with reported(f"cannot open {directory}"):
+        exists = holds_run(directory)
+    with reported("cannot read a file of the user"):
+        sources = user_files(run.players)
+    if not exists:
+        return _create(directory, run, sources, clock)
     store = Store.open(directory, clock=clock)
     try:
         if parts_of(directory):
@@ -158,80 +124,65 @@ def resume_trials(
                 f"tasks of a job array have trials of {directory}: when they are over, "
                 f"glue-results gather {directory}"
             )
-        check(store)
+        if changed := changed_files(_recorded_files(directory), sources):
+            found = [f"{file} has changed since" for file in changed]
+            raise OtherRun(directory, f"was begun with files of which {SOURCES} has copies", found)
+        run.check(store)
         store.record_event("resume", program())
         for record in store.trials():
             if record.finished and record.failure is not None:  # its cleanup may have failed
                 store.rewind(record.spec.id, record.done)
-        left = remaining(store)
-        for trial in left:
+        for trial in remaining(store):
             go_back(store, trial)
+            if trial.after or trial.dropped:
+                say(f"{trial.trial_id} {trial.course}")
     except BaseException:
         store.close()
         raise
-    return store, left
-
-
-def open_run(
-    directory: Path,
-    plan: Plan,
-    *,
-    say: Callable[[str], None] = lambda line: None,
-    clock: Callable[[], float] = time.time,
-) -> Store:
-    """Return the store of a plan's run: a new one, or the one in the directory, prepared to continue.
-
-    Args:
-        directory: contains the run, or will contain it.
-        plan: of the run.
-        say: shows a line about each interrupted trial.
-        clock: returns seconds since 1970.
-
-    Raises:
-        ExperimentError: as `create_run` and `resume_run`.
-    """
-    files = {PLAN_FILE: dump_plan(plan)}
-    return open_trials(
-        directory,
-        plan.expand(),
-        files,
-        lambda store: _match(store, plan, say),
-        sources=sources_of(_players(plan)),
-        say=say,
-        clock=clock,
-    )
-
-
-def open_trials(
-    directory: Path,
-    specs: Sequence[TrialSpec],
-    files: Mapping[str, str],
-    check: Callable[[Store], None],
-    *,
-    sources: Mapping[str, UserFile] = MappingProxyType({}),
-    say: Callable[[str], None] = lambda line: None,
-    clock: Callable[[], float] = time.time,
-) -> Store:
-    """Return the store of a run: a new one, or the one in the directory, prepared to continue.
-
-    Args:
-        directory, specs, files, sources: as `create_trials`.
-        check: as `resume_trials`.
-        say: shows a line about each interrupted trial.
-        clock: returns seconds since 1970.
-
-    Raises:
-        ExperimentError: as `create_trials` and `resume_trials`.
-    """
-    with reported(f"cannot open {directory}"):
-        exists = holds_run(directory)
-    if not exists:
-        return create_trials(directory, specs, files, sources=sources, clock=clock)
-    store, left = resume_trials(directory, check, clock=clock)
-    for trial in left:
-        if trial.after or trial.dropped:
-            say(f"{trial.trial_id} {trial.course}")
     return store
+
+
+def _create(
+    directory: Path, run: Definition, sources: Mapping[str, UserFile], clock: Callable[[], float]
+) -> Store:
+    found = about()
+    contents: dict[str, str | bytes] = {**run.files}
+    for path, (sha256, content) in sources.items():
+        found["files"][path] = {"sha256": sha256}
+        if content is not None:
+            name = f"{SOURCES}/{sha256[:12]}-{Path(path).name}"
+            found["files"][path]["copy"] = name
+            contents[name] = content
+    contents[ABOUT_FILE] = json.dumps(found, indent=2) + "\n"
+    store = Store.create(directory, run.specs, contents, clock=clock)
+    store.record_event("start", found["program"])
+    return store
+
+
+def _defined_by(plan: Plan, say: Callable[[str], None]) -> Definition:
+    def check(store: Store) -> None:
+        """Check that a run has this plan, or extend it if the plan is longer."""
+        recorded = recorded_plan(store.directory)
+        path = store.directory / PLAN_FILE
+        if not _extends([trial.spec for trial in store.trials()], recorded.expand()):
+            raise ExperimentError(f"{path} was changed after its run began: put it back")
+        counts = {
+            name: max(was, getattr(plan, name))
+            for name in (*BUDGETS, "trials")
+            if (was := getattr(recorded, name))
+        }
+        longer = replace(recorded, **counts)
+        # Runs of earlier versions have paths relative to the directory in which they began.
+        if found := differences(*(absolute(one, Path.cwd()) for one in (longer, plan))):
+            raise OtherRun(store.directory, "is the run of another plan", found)
+        if longer != recorded:
+            say(f"{store.directory} is extended: {'; '.join(differences(recorded, longer))}")
+            # Before the trials, so that a process killed in between leaves a plan that extends them.
+            replace_flushed(path, dump_plan(longer))
+        if not is_part(store.directory):  # the plan has trials of other parts, too
+            lengthen(store, longer.expand(), say)
+
+    return Definition(plan.expand(), {PLAN_FILE: dump_plan(plan)}, [*plan.agents, *plan.environments], check)
 
 
 @contextmanager
@@ -304,32 +255,6 @@ def finished_at(results: Results) -> float | None:
     return max((event.time for event in results.events() if event.kind == FINISH), default=None)
 
 
-def _match(store: Store, plan: Plan | None, say: Callable[[str], None]) -> None:
-    """Check that a run has this plan, None for any, and the same files; extend it if the plan is longer."""
-    recorded = longer = recorded_plan(store.directory)
-    path = store.directory / PLAN_FILE
-    if not _extends([trial.spec for trial in store.trials()], recorded.expand()):
-        raise ExperimentError(f"{path} was changed after its run began: put it back")
-    if plan is not None:
-        counts = {
-            name: max(was, getattr(plan, name))
-            for name in (*BUDGETS, "trials")
-            if (was := getattr(recorded, name))
-        }
-        longer = replace(recorded, **counts)
-        # Runs of earlier versions have paths relative to the directory in which they began.
-        if found := differences(*(absolute(one, Path.cwd()) for one in (longer, plan))):
-            raise OtherRun(store.directory, "is the run of another plan", found)
-        if longer != recorded:
-            say(f"{store.directory} is extended: {'; '.join(differences(recorded, longer))}")
-    check_sources(store.directory, sources_of(_players(plan or recorded)))
-    if longer != recorded:
-        # Before the trials, so that a process killed in between leaves a plan that extends them.
-        replace_flushed(path, dump_plan(longer))
-    if not is_part(store.directory):  # the plan has trials of other parts, too
-        lengthen(store, longer.expand(), say)
-
-
 def lengthen(store: Store, specs: Sequence[TrialSpec], say: Callable[[str], None]) -> None:
     """Add trials to a run, or make its trials longer.
 
@@ -357,31 +282,6 @@ def _extends(stored: Sequence[TrialSpec], planned: Sequence[TrialSpec]) -> bool:
         and spec.steps <= longer.steps
         for spec in stored
     )
-
-
-def sources_of(players: Sequence[RoleSpec | RoleSweep]) -> Mapping[str, UserFile]:
-    """Return the user files that players load, by path. Their classes must have been found.
-
-    Raises:
-        StorageError: a file cannot be read.
-    """
-    with reported("cannot read a file of the user"):
-        return user_files(players)
-
-
-def check_sources(directory: Path, sources: Mapping[str, UserFile]) -> None:
-    """Check that a run was begun with the same user files.
-
-    Raises:
-        OtherRun: a file has changed since.
-    """
-    if changed := changed_files(_recorded_files(directory), sources):
-        found = [f"{file} has changed since" for file in changed]
-        raise OtherRun(directory, f"was begun with files of which {SOURCES} has copies", found)
-
-
-def _players(plan: Plan) -> list[RoleSweep]:
-    return [*plan.agents, *plan.environments]
 
 
 def _recorded_files(directory: Path) -> dict[str, str]:

@@ -10,28 +10,35 @@ for its port connects as soon as it is open, and exits when it is closed again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import json
+from collections.abc import Callable, Collection, Iterator, Sequence, Set
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
-from types import TracebackType
+from pathlib import Path
+from typing import Final
 
 from experiment_runner.executors import player_command
-from experiment_runner.executors.hints import Hints
-from experiment_runner.executors.players import HubOptions, Note, Placement, players_inside
+from experiment_runner.executors.job import AtHub, Joined, Line, Report
+from experiment_runner.executors.players import players_inside
+from experiment_runner.executors.settings import HubOptions, Placement
 from experiment_runner.plan.plan import Plan, TrialSpec
 from experiment_runner.processes.children import KeptAlive, Say
 from experiment_runner.processes.scratch import SOCKET, scratch_folder
 from glue.client.experiment import connect, connect_over
 from glue.engine.experiment import Experiment
-from glue.hub.config import DEFAULT_HUB, Bind, HubConfig
+from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, Bind, HubConfig, LegacyPort
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.listener import open_address
 from glue.hub.io.renewal import renewed_on_hangup
 from glue.hub.io.server import Hub
-from glue.keys.allowed import read_keys
+from glue.keys.allowed import HUB, read_keys
+from glue.keys.certificates import PUBLIC, SECRET
 from glue.legacy.gateway import Gateway, open_legacy_port
+from glue.plugins.loading import example
 from glue.wire.messages import Event, Role
+
+_COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 
 @contextmanager
@@ -71,135 +78,139 @@ def _outside(options: HubOptions, expected: bool) -> tuple[str, ...]:
     return options.bind or ((DEFAULT_HUB,) if expected else ())
 
 
-class OverHub:
-    """The players of a trial as processes, connected by a hub of our own or by a running one.
+@contextmanager
+def over_hub(
+    spec: TrialSpec, placement: Placement, send: Callable[[Report], None], progress: Callable[[], int]
+) -> Iterator[Experiment]:
+    """Connect the players of a trial over a hub of our own, or a running one; see `open_experiment`."""
+    options = placement.hub
+    players = {Role.ENVIRONMENT: spec.environment, Role.AGENT: spec.agent}
+    named = {role: player for role, player in players.items() if player is not None}
+    expected = frozenset(players.keys() - named.keys())
+    inside = players_inside(spec, placement)
+    session = options.session
+    hub: Hub | None = None
 
-    A context manager that yields the connected experiment.
-    """
+    def say(line: str) -> None:
+        send(Line(line))
 
-    def __init__(
-        self,
-        spec: TrialSpec,
-        placement: Placement,
-        say: Say,
-        progress: Callable[[], int],
-        note: Note | None,
-        met: Callable[[str, str], None] | None,
-    ) -> None:
-        players = {Role.ENVIRONMENT: spec.environment, Role.AGENT: spec.agent}
-        self._inside = players_inside(spec, placement)
-        self._named = {role: player for role, player in players.items() if player is not None}
-        self._expected = frozenset(players.keys() - self._named.keys())
-        self._placement = placement
-        self._options = placement.hub
-        self._say = say
-        self._note = note
-        self._met = met
+    def notice(event: Event, role: Role, name: str) -> None:
+        """Report that a player joined or was lost."""
+        if event is not Event.JOINED:
+            say(f"{role} {name}" if event is Event.SLOW else f"{role} {name} {event}")
+        elif role in expected:
+            label, opens, program = name.removesuffix(")").rpartition(" (")  # in the hub's format
+            offered = None if hub is None else hub.sessions.capabilities(session, role)
+            seeded = offered is None or "seed" in offered
+            send(Joined(role, label if opens else name, program if opens else None, seeded))
+        if role in expected and event is Event.LOST:
+            hints.show(frozenset({role}))
+
+    with ExitStack() as stack:
         # Entered first, so left last: the children exit after our hub has said goodbye to them.
-        self._hub: Hub | None = None
-        self._children = KeptAlive(say, progress, dismissed=self._options.hub is None)
-        self._stack = ExitStack()
-
-    def __enter__(self) -> Experiment:
-        with ExitStack() as stack:
-            stack.enter_context(self._children)
-            experiment = self._start(stack)
-            self._stack = stack.pop_all()
-        return experiment
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if isinstance(error, KeyboardInterrupt):
-            self._children.hurry()
-        self._stack.__exit__(kind, error, trace)
-
-    def _start(self, stack: ExitStack) -> Experiment:
-        """Start the hub, unless one is running, and the players that are named; wait for all players."""
-        options = self._options
-        if options.hub is None:
-            url, transport, hints = self._start_hub(stack)
-        else:
-            url, transport = options.hub, None
-            hints = Hints(self._say, url, options.session, self._named.keys())
-        self._hints = hints
-        session = options.session
-        if transport is not None and self._hub is not None:
-            steps = partial(self._hub.sessions.num_steps, session)
-            glue = connect_over(transport, session, on_notice=self._notice, num_steps=steps)
-        else:
+        children = stack.enter_context(KeptAlive(say, progress, dismissed=options.hub is None))
+        if options.hub is not None:
+            url = options.hub
+            hints = Hints(say, url, session, named.keys())
             glue = connect(
                 url,
                 session,
                 key=options.key,
                 hub_key=options.hub_key,
                 wait=options.wait,
-                on_notice=self._notice,
+                on_notice=notice,
             )
+        else:
+            hub, url, hints = _start_hub(stack, placement, expected, named.keys(), say)
+            steps = partial(hub.sessions.num_steps, session)
+            transport = InsideTransport(hub, inside, session)
+            glue = connect_over(transport, session, on_notice=notice, num_steps=steps)
         stack.enter_context(glue)
-        if self._met is not None and options.key is None:  # observers would need a key
-            self._met(url, options.session)
-        for role, player in self._named.items():
-            if role in self._inside:
-                continue
-            arguments = player_command.arguments(
-                role,
-                player.name,
-                player.options,
-                url,
-                options.session,
-                self._placement.any_reward,
-                options.key,
-                options.hub_key,
-            )
-            self._children.start(f"{role} {player.label}", player_command.MODULE, arguments, glue.give_up)
+        if options.key is None:  # observers would need a key
+            send(AtHub(url, session))
         try:
+            for role, player in named.items():
+                if role not in inside:
+                    place = {"hub": url, "session": session, "key": options.key, "hub_key": options.hub_key}
+                    given = {"options": player.options, "any_reward": placement.any_reward, "place": place}
+                    arguments = [role, player.name, json.dumps(given)]
+                    children.start(f"{role} {player.label}", player_command.MODULE, arguments, glue.give_up)
             glue.wait_for_players(hints.show)
+            yield glue
         except KeyboardInterrupt:
-            self._children.hurry()
+            children.hurry()
             raise
-        return glue
 
-    def _start_hub(self, stack: ExitStack) -> tuple[str, InsideTransport, Hints]:
-        """Start a hub; return its URL for our children, the experiment's transport, and the hints."""
-        options, placement, expected = self._options, self._placement, self._expected
-        inside = f"ipc://{stack.enter_context(scratch_folder())}/{SOCKET}"
-        # A named role is reserved for our own child: only the child can reach the inside address.
-        binds = _binds(options, bool(expected), expected or frozenset({Role.OBSERVER}))
-        config = HubConfig(bind=(inside, *binds), insecure=options.insecure)
-        self._hub = hub = stack.enter_context(Hub(config, opened=placement.opened))
-        if binds and options.keys is not None:
-            stack.enter_context(renewed_on_hangup(hub, options.keys))
-        legacy = {port: replace(port, roles=expected) for port in options.legacy}
-        opened_legacy = {legacy[port]: address for port, address in placement.opened_legacy.items()}
-        ports = tuple(Gateway(hub, tuple(legacy.values()), self._say, opened=opened_legacy).ports)
-        for port in ports:
-            self._say(f"original RL-Glue programs join on {port}")
-        stack.enter_context(hub.in_background())
-        public = hub.endpoints[1] if binds else inside
-        if binds and not expected:
-            self._say(f"observers can join at {public}")
-        hints = Hints(self._say, public, options.session, self._named.keys(), ports, options.keys)
-        return inside, InsideTransport(hub, self._inside, options.session), hints
 
-    def _notice(self, event: Event, role: Role, name: str) -> None:
-        """Show or record that a player joined or was lost."""
-        outside = role in self._expected
-        if event is Event.SLOW:
-            self._say(f"{role} {name}")
-        elif event is not Event.JOINED or (self._note is None and outside):
-            self._say(f"{role} {name} {event}")
-        elif self._note is not None and outside:
-            label, opens, program = name.removesuffix(")").rpartition(" (")  # in the hub's format
-            if not opens:
-                label, program = name, ""
-            self._note(role, label, program or None, self._takes_seed(role))
-        if outside and event is Event.LOST:
-            self._hints.show(frozenset({role}))
+def _start_hub(
+    stack: ExitStack, placement: Placement, expected: frozenset[Role], named: Collection[Role], say: Say
+) -> tuple[Hub, str, Hints]:
+    """Start a hub; return it, its URL for our children, and the hints for the roles that it waits for."""
+    options = placement.hub
+    inside = f"ipc://{stack.enter_context(scratch_folder())}/{SOCKET}"
+    # A named role is reserved for our own child: only the child can reach the inside address.
+    binds = _binds(options, bool(expected), expected or frozenset({Role.OBSERVER}))
+    config = HubConfig(bind=(inside, *binds), insecure=options.insecure)
+    hub = stack.enter_context(Hub(config, opened=placement.opened))
+    if binds and options.keys is not None:
+        stack.enter_context(renewed_on_hangup(hub, options.keys))
+    legacy = {port: replace(port, roles=expected) for port in options.legacy}
+    opened_legacy = {legacy[port]: address for port, address in placement.opened_legacy.items()}
+    ports = tuple(Gateway(hub, tuple(legacy.values()), say, opened=opened_legacy).ports)
+    for port in ports:
+        say(f"original RL-Glue programs join on {port}")
+    stack.enter_context(hub.in_background())
+    public = hub.endpoints[1] if binds else inside
+    if binds and not expected:
+        say(f"observers can join at {public}")
+    return hub, inside, Hints(say, public, options.session, named, ports, options.keys)
 
-    def _takes_seed(self, role: Role) -> bool:
-        """Return whether a player offers to be seeded; True if that is not known."""
-        if self._hub is None:
-            return True
-        offered = self._hub.sessions.capabilities(self._options.session, role)
-        return offered is None or "seed" in offered
+
+class Hints:
+    """Lines that say which players are missing, and which commands start those from outside.
+
+    Args:
+        say: shows a line.
+        hub: URL at which players from outside join.
+        session: the session that they join.
+        named: the roles whose players the experiment starts itself; each is mentioned once.
+        ports: ports at which original RL-Glue programs join.
+        keys: directory of the hub's keys, which players from outside need; None for none.
+    """
+
+    def __init__(
+        self,
+        say: Callable[[str], None],
+        hub: str,
+        session: str,
+        named: Collection[Role],
+        ports: Sequence[LegacyPort] = (),
+        keys: Path | None = None,
+    ) -> None:
+        self._say = say
+        self._named = named
+        self._starting: set[Role] = set()
+        self._where = "" if hub == DEFAULT_HUB else f" --hub {_from_outside(hub)}"
+        self._where += "" if session == DEFAULT_SESSION else f" --session {session}"
+        if keys is not None:
+            self._where += f" --key THEIRS{SECRET} --hub-key {keys / HUB}{PUBLIC}"
+        legacy = " or ".join(f"{port.host}:{port.port}" for port in ports if port.session == session)
+        self._legacy = f"; or an original one on {legacy}" if legacy else ""
+
+    def show(self, missing: Set[Role]) -> None:
+        """Say that the players of these roles are missing."""
+        for role in sorted(missing - self._starting):
+            if role in self._named:
+                self._starting.add(role)
+                self._say(f"waiting for the {role} to start")
+            else:
+                command = f"{_COMMANDS[role]} {example(role)}{self._where}"
+                self._say(f"waiting for an {role}; in another terminal: {command}{self._legacy}")
+
+
+def _from_outside(endpoint: str) -> str:
+    """Return the URL at which outside programs reach our hub; a wildcard becomes the placeholder HOST."""
+    for everywhere in ("tcp://0.0.0.0:", "tcp://[::]:"):
+        if endpoint.startswith(everywhere):
+            return "tcp://HOST:" + endpoint.removeprefix(everywhere)
+    return endpoint

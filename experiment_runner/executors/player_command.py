@@ -2,7 +2,8 @@
 
     python -P -m experiment_runner.executors.player_command ROLE NAME SETTINGS
 
-SETTINGS is JSON, see `arguments`. `glue-agent` and `glue-env` do the same for users.
+SETTINGS is JSON: the player's `options`, whether an environment may give `any_reward`, and the `place` of its
+hub, as `serve_agent` takes it. `glue-agent` and `glue-env` do the same for users.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import FrameType
 from typing import Any, Final, NoReturn
 
@@ -20,7 +21,6 @@ from experiment_runner.executors.rewards import FiniteRewards
 from glue.client.players import serve_agent, serve_environment
 from glue.console import LOG, leave_printing_to_others, say
 from glue.errors import GlueError, PeerFailed
-from glue.options import Value
 from glue.plugins.loading import construct, find
 from glue.wire.messages import Role
 
@@ -29,33 +29,6 @@ MODULE: Final = "experiment_runner.executors.player_command"
 
 _TERMINATED: Final = 128 + signal.SIGTERM
 """Exit status after SIGTERM."""
-
-
-def arguments(
-    role: Role,
-    name: str,
-    options: Mapping[str, Value],
-    hub: str,
-    session: str,
-    any_reward: bool = True,
-    key: str | None = None,
-    hub_key: str | None = None,
-) -> Sequence[str]:
-    """Return the arguments with which `MODULE` serves a player.
-
-    Args:
-        role: agent or environment.
-        name: as `glue.plugins.loading.find` takes it.
-        options: constructor options.
-        hub: URL of the hub.
-        session: name of the session.
-        any_reward: whether an environment may give rewards that are infinite or not a number.
-        key: file with the secret key by which the hub knows the player; None for none.
-        hub_key: the hub's public key, or a file that holds it.
-    """
-    place = {"hub": hub, "session": session, "key": key, "hub_key": hub_key}
-    settings = {"options": dict(options), "any_reward": any_reward, "place": place}
-    return [str(role), name, json.dumps(settings)]
 
 
 def main() -> None:

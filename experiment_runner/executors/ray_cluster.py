@@ -29,9 +29,9 @@ from experiment_runner.executors.job import (
     decode,
     decode_job,
     encode,
-    run_job,
     unpack,
 )
+from experiment_runner.executors.trial import run_job
 from glue.errors import ConfigError, ExperimentError
 
 _BATCH_SECONDS: Final = 0.1

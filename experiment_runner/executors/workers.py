@@ -19,16 +19,8 @@ from typing import Any, Final, NoReturn, Self
 
 from experiment_runner.executors.dispatcher import HasTrial
 from experiment_runner.executors.interrupts import Interrupts, Terminated
-from experiment_runner.executors.job import (
-    REPORTS,
-    Ended,
-    Lost,
-    decode,
-    decode_job,
-    encode,
-    run_job,
-    unpacker,
-)
+from experiment_runner.executors.job import REPORTS, Ended, Lost, decode, decode_job, encode, unpacker
+from experiment_runner.executors.trial import run_job
 from experiment_runner.processes.children import (
     FAREWELL_SECONDS,
     HURRIED_SECONDS,

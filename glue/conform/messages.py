@@ -14,16 +14,11 @@ _SHOWN: Final = 300
 """Maximum number of characters of a message in a verdict."""
 
 
-def shown(message: Message) -> str:
-    """Return a message as errors show it, with at most 200 bytes of its body."""
+def described(message: Message) -> str:
+    """Return a message as verdicts show it."""
     scalars = "".join(f" {scalar!r}" for scalar in message.scalars)
     body = f" with {message.body[:200].hex(' ')}" if message.body else ""
-    return f"{message.kind.name} {message.seq}{scalars}{body}"
-
-
-def described(message: Message) -> str:
-    """Return a message as a verdict shows it."""
-    text = shown(message)
+    text = f"{message.kind.name} {message.seq}{scalars}{body}"
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}... ({len(message.body)} bytes)"
 
 

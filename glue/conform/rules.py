@@ -97,13 +97,15 @@ class Rules(list[Rule]):
         """Return a decorator that adds the rule of a scene.
 
         The scene's docstring is the text of the rule, and its name is the rule's name unless `more`, the
-        other fields of `Rule`, gives another.
+        other fields of `Rule`, gives another. A capability may be offered, everything else has to be kept.
         """
 
         def keep(scene: Check) -> Check:
             text = " ".join((scene.__doc__ or "").split()).removesuffix(".")
             text = text if text[1].isupper() else text[0].lower() + text[1:]
-            fields = {"name": scene.__name__.replace("_", "-"), "roles": self._roles, **more}
+            level = Requirement.MAY if "capability" in more else Requirement.MUST
+            name = scene.__name__.replace("_", "-")
+            fields = {"name": name, "roles": self._roles, "level": level, **more}
             self.append(Rule(tier=tier, section=section, text=text, scene=scene, **fields))
             return scene
 

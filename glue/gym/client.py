@@ -18,8 +18,7 @@ from glue.client.players import serve_agent
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, SimulatorError, TaskSpecError
-from glue.gym.codec import Codec
-from glue.gym.leaves import SpaceLike
+from glue.gym.codec import Codec, SpaceLike
 from glue.gym.spaces import read_spaces
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.roles import Agent, Environment
@@ -103,7 +102,9 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         self.observation_space: SpaceLike
         self.action_space: SpaceLike
         self.observation_space, self.action_space = read_spaces(spec)
-        self._read = _reader(self.observation_space, spec.observations.stated)
+        self._read: Callable[[Observation], Any] = arrays_of
+        if spec.observations.stated:
+            self._read = Codec(self.observation_space).unpack
         self._actions = Codec(self.action_space)
         self._playing = False
 
@@ -162,8 +163,3 @@ class _StandIn(Agent):
 
     def agent_message(self, message: str) -> str:
         return "I stand in for an experiment that acts itself"
-
-
-def _reader(space: SpaceLike, stated: bool) -> Callable[[Observation], Any]:
-    """Return a function that turns observations into values of their space."""
-    return Codec(space).unpack if stated else arrays_of

@@ -137,7 +137,7 @@ class Bind:
         """Who else can join, unless keys or a file mode prevent it; otherwise empty."""
         if self.keys is not None or (self.url.startswith("ipc://") and self.url[6] != "@"):
             return ""
-        return "every user of this machine" if _is_local(self.url) else "everyone who reaches this machine"
+        return "every user of this machine" if is_local(self.url) else "everyone who reaches this machine"
 
     def announcement(self, endpoint: str) -> str:
         """Return a line that says where the hub listens, and who else can join there."""
@@ -200,7 +200,7 @@ class HubConfig:
             By default a quarter of the machine's memory.
         insecure: allow addresses without keys that other machines can reach. Peers are not authenticated.
         time: limits of the agent in every session; None for none.
-        greeting: seconds that a connection may stay without a seat in a session; then it is dropped, at the
+        greeting: seconds that a connection may take part in no session; then it is dropped, at the
             next heartbeat.
         farewell: maximum number of seconds that the hub waits, when it ends, for its last messages to be read
             and for its last log lines to be written.
@@ -223,7 +223,7 @@ class HubConfig:
 
     def __post_init__(self) -> None:
         for bind in self.binds:
-            if not self.insecure and bind.keys is None and not _is_local(bind.url):
+            if not self.insecure and bind.keys is None and not is_local(bind.url):
                 raise ConfigError(
                     f"{bind.url} can be reached from other machines, and peers are not authenticated: "
                     "require keys (see glue-keys), bind tcp://127.0.0.1:PORT, or set insecure if the network "
@@ -295,7 +295,7 @@ class LegacyPort:
             )
         host = match["host"] or "127.0.0.1"
         url = check_url(f"tcp://{host}:{match['port']}")
-        if not insecure and not _is_local(url):
+        if not insecure and not is_local(url):
             raise ConfigError(
                 f"{host} can be reached from other machines, and RL-Glue programs are not authenticated: "
                 "leave the host out, or set insecure if the network is your own",
@@ -343,7 +343,8 @@ def check_session(name: str) -> str:
     return name
 
 
-def _is_local(url: str) -> bool:
+def is_local(url: str) -> bool:
+    """Return whether only this machine can reach an address."""
     match = _TCP.fullmatch(url)
     if match is None:
         return True

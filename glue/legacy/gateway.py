@@ -14,7 +14,7 @@ sessions, and the sessions's messages are translated into frames, one at a time:
   repeated from its beginning with another player, it is. If not, the connection is reset: if it were merely
   closed, C programs would continue with stale data, and Python programs would hang.
 
-The first two rules, and the consequences of a lost player, are the tables of `glue.legacy.states`.
+The first rule, and the consequences of a lost player, are the tables of `glue.legacy.states`.
 
 Source: RL-Glue core 3.04, RL_network_glue.c; rl-glue-ext, the C, Java and Python codecs.
 """

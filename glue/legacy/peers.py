@@ -27,7 +27,7 @@ from glue.system import chance, clock
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 _BASE: Final = 8192
-"""Bytes that a program's connection and its seat use at most besides what it has received and not sent."""
+"""Bytes that a program's connection and its peer use at most besides what it has received and not sent."""
 
 _CODEC: Final = "RL-Glue 3.x"
 

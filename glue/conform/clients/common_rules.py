@@ -8,7 +8,7 @@ from typing import Final
 
 from glue.conform import forms
 from glue.conform.clients.connection import Connection, Gone
-from glue.conform.clients.harness import MAX_BODY, Exchange, Harness
+from glue.conform.clients.harness import BEAT, MAX_BODY, Exchange, Harness
 from glue.conform.messages import described
 from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.system import clock
@@ -141,19 +141,17 @@ _BEATS_WITHIN: Final = 1.5
 @RULES.add(Tier.PLAYS, "greeting")
 def heartbeats(kit: Harness) -> None:
     """HEARTBEATs are ignored at any time."""
-    beat = Message(Kind.HEARTBEAT, "", 0)
     for _ in range(kit.exchanges()):
         exchange = kit.prepare()
-        kit.send_frames(encode(beat, FROM_HUB))
-        kit.send_frames(encode(beat._replace(session=kit.session), FROM_HUB))
+        kit.send_frames(BEAT)
+        kit.send(Kind.HEARTBEAT)
         kit.run(exchange)
-        kit.send_frames(encode(beat, FROM_HUB))
+        kit.send_frames(BEAT)
 
 
 @RULES.add(Tier.SURVIVES, "appendix-zeromq-without-libzmq", needs=("heartbeats",))
 def torn(kit: Harness) -> None:
     """Bytes may arrive one by one, and many messages at once."""
-    beat = zmtp.encode(encode(Message(Kind.HEARTBEAT, "", 0), FROM_HUB))
     for _ in range(2):
         exchange = kit.prepare()
         for byte in zmtp.encode(exchange.frames):
@@ -161,17 +159,16 @@ def torn(kit: Harness) -> None:
         kit.take(exchange.expected)
     for _ in range(3):
         exchange = kit.prepare()
-        kit.send_bytes(beat * 200 + zmtp.encode(exchange.frames))
+        kit.send_bytes(zmtp.encode(BEAT) * 200 + zmtp.encode(exchange.frames))
         kit.take(exchange.expected)
 
 
 @RULES.add(Tier.SURVIVES, "transport", needs=("heartbeats",))
 def crossing(kit: Harness) -> None:
     """HEARTBEATs that arrive while the client sends its frames do not block it."""
-    beat = zmtp.encode(encode(Message(Kind.HEARTBEAT, "", 0), FROM_HUB))
     for _ in range(kit.exchanges()):
         exchange = kit.prepare()
-        kit.send_bytes(zmtp.encode(exchange.frames) + 3 * beat)
+        kit.send_bytes(zmtp.encode(exchange.frames) + 3 * zmtp.encode(BEAT))
         kit.take(exchange.expected)
 
 
@@ -383,10 +380,7 @@ def answer_lost(kit: Harness) -> None:
 @RULES.add(
     Tier.SURVIVES,
     "breaks-replacements-and-void-episodes",
-    needs=(
-        "silent-until-welcomed",
-        "answer-lost",
-    ),
+    needs=("silent-until-welcomed", "answer-lost"),
 )
 def call_lost(kit: Harness) -> None:
     """An incomplete message at the end of a connection is discarded: at every step of an episode."""

@@ -71,20 +71,15 @@ class Listener:
 
     def accept(self, wait: float) -> Connection | None:
         """Return the next connection; None if there is none within `wait` seconds."""
-        assert self._socket is not None
-        self._socket.settimeout(max(wait, 0.001))
-        try:
-            accepted, _ = self._socket.accept()
-        except TimeoutError:
+        if not self.waits(wait):
             return None
-        return Connection(accepted)
+        assert self._socket is not None
+        return Connection(self._socket.accept()[0])
 
     def waits(self, seconds: float) -> bool:
         """Return whether a connection can be accepted within `seconds`."""
         assert self._socket is not None
-        poller = network.poll()
-        poller.register(self._socket, network.POLLIN)
-        return bool(poller.poll(seconds * 1000))
+        return _ready(self._socket, network.POLLIN, seconds)
 
     @property
     def _path(self) -> Path:
@@ -155,11 +150,8 @@ class Connection:
             try:
                 rest = rest[self._socket.send(rest) :]
             except BlockingIOError:
-                poller = network.poll()
-                poller.register(self._socket, network.POLLIN | network.POLLOUT)
-                for _, events in poller.poll(1000):
-                    if events & network.POLLIN:
-                        self._read(clock.monotonic())
+                _ready(self._socket, network.POLLIN | network.POLLOUT, 1.0)
+                self._read(clock.monotonic())
                 if clock.monotonic() > deadline:
                     raise Broken("a client that reads", f"{len(rest)} bytes that it has not read") from None
             except OSError:
@@ -204,7 +196,7 @@ class Connection:
 
         Only for use while no message is under way.
         """
-        self._wait_for_data(clock.monotonic() + wait)
+        _ready(self._socket, network.POLLIN, wait)
         try:
             data = self._socket.recv(_CHUNK)
         except BlockingIOError:
@@ -232,22 +224,16 @@ class Connection:
         self._socket.close()
 
     def _read(self, deadline: float) -> bool:
-        self._wait_for_data(deadline)
-        try:
-            data = self._socket.recv(_CHUNK)
-        except BlockingIOError:
-            return False
-        except OSError:
-            raise Gone from None
-        if not data:
-            raise Gone
+        data = self.receive_bytes(deadline - clock.monotonic())
         if not self._decoder.ready:
             self._raw += data
         self._heard += data
         self._decoder.receive_data(data)
-        return True
+        return bool(data)
 
-    def _wait_for_data(self, deadline: float) -> None:
-        poller = network.poll()
-        poller.register(self._socket, network.POLLIN)
-        poller.poll(max(0.0, deadline - clock.monotonic()) * 1000)
+
+def _ready(socket: network.socket, events: int, seconds: float) -> bool:
+    """Return whether one of these events of a socket occurs within `seconds`."""
+    poller = network.poll()
+    poller.register(socket, events)
+    return bool(poller.poll(max(0.0, seconds) * 1000))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from glue.conform import forms
 from glue.conform.clients.connection import Gone
-from glue.conform.clients.experiment_harness import DONE, SEEN, SPEC, ExperimentHarness, Order
+from glue.conform.clients.experiment_harness import BOTH, DONE, SEEN, SPEC, ExperimentHarness, Order
 from glue.conform.clients.harness import MAX_BODY, Harness
 from glue.conform.clients.mirror import result
 from glue.conform.forms import CHARS, DOUBLES, EMPTY, INTS, MANY, NOT_UTF_8, REWARDS, TEXTS
@@ -18,7 +19,7 @@ from glue.conform.messages import described, same
 from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.types import CUT_OFF, AbstractType, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
-from glue.wire.messages import OUTCOME, ErrorCode, Event, Kind, Role
+from glue.wire.messages import OUTCOME, ErrorCode, Event, Kind, Message, Role
 
 RULES: Final = Rules((Role.EXPERIMENT,))
 
@@ -26,13 +27,12 @@ RULES: Final = Rules((Role.EXPERIMENT,))
 @RULES.add(Tier.PLAYS, "what-the-calls-mean")
 def calls(kit: ExperimentHarness) -> None:
     """Every request is made, and its reply understood."""
-    both = SEEN.body + DONE.body
     kit.do(
         Order("RL_INIT", body=SPEC),
         Order("RL_INIT", b"9223372036854775807", body=b""),
-        Order("RL_START", body=both),
-        Order("RL_STEP", scalars=(1.5, False), body=both),
-        Order("RL_STEP", scalars=(-1.5, True), body=both),
+        Order("RL_START", body=BOTH),
+        Order("RL_STEP", scalars=(1.5, False), body=BOTH),
+        Order("RL_STEP", scalars=(-1.5, True), body=BOTH),
         Order("RL_EPISODE", b"0", scalars=(True,)),
         Order("RL_EPISODE", b"1000000", scalars=(False,)),
         Order("RL_RETURN", scalars=(-100.25,)),
@@ -130,7 +130,7 @@ def rewards(kit: ExperimentHarness) -> None:
     for reward in REWARDS:
         kit.do(
             Order("RL_RETURN", scalars=(reward,)),
-            Order("RL_STEP", scalars=(reward, True), body=SEEN.body + DONE.body),
+            Order("RL_STEP", scalars=(reward, True), body=BOTH),
             Order("RL_AGENT_END", reward=reward),
         )
 
@@ -159,7 +159,7 @@ def widths(kit: ExperimentHarness) -> None:
 def integer_terminal(kit: ExperimentHarness) -> None:
     """Terminal may be an integer: all except 0 are true."""
     for terminal, form in forms.truths():
-        order = Order("RL_STEP", scalars=(1.0, terminal), body=SEEN.body + DONE.body)
+        order = Order("RL_STEP", scalars=(1.0, terminal), body=BOTH)
         kit.asks(order)
         header = forms.header(int(Kind.RL_STEP), kit.session, kit.request.seq, [forms.float_64(1.0), form])
         kit.send_frames((header, order.body))
@@ -240,12 +240,14 @@ def notices(kit: ExperimentHarness) -> None:
         raise Broken(f"the notices {expected}", str(lines))
 
 
+def _reports(message: Message) -> bool:
+    return message.kind is Kind.RL_ENV_STEP
+
+
 def _notices(kit: ExperimentHarness) -> list[str]:
     kit.do()
     kit.send_frames(kit.ordering("notices"))
-    got, frames = kit.next("RL_ENV_STEP with the notices as chars")
-    if got.kind is not Kind.RL_ENV_STEP:
-        raise Broken("RL_ENV_STEP with the notices as chars", described(got), frames)
+    got = kit.expect("RL_ENV_STEP with the notices as chars", _reports)
     kit.took(got)
     return Action.from_body(got.body).chars.decode(errors="replace").splitlines()
 
@@ -258,25 +260,24 @@ def errors(kit: ExperimentHarness) -> None:
         (ErrorCode.PEER_FAILED, "the environment größer: division by zero"),
         (ErrorCode.UNSUPPORTED, "the agent does not save"),
     ):
-        kit.asks(Order("RL_STEP", scalars=(1.0, False), body=SEEN.body + DONE.body))
+        kit.asks(Order("RL_STEP", scalars=(1.0, False), body=BOTH))
         kit.send(Kind.ERROR, code, text, seq=kit.request.seq)
         kit.take(kit.showing(result(chars=f"ERROR {code} {text}".encode())))
-    kit.do(Order("RL_START", body=SEEN.body + DONE.body))
+    kit.do(Order("RL_START", body=BOTH))
 
 
 @RULES.add(Tier.COMPLETE, "capabilities", needs=("integer-terminal",), level=Requirement.MAY)
 def truncate(kit: ExperimentHarness) -> None:
     """The terminal 2 says that the episode was truncated, not terminated."""
-    both = SEEN.body + DONE.body
     for order in (
-        Order("RL_STEP", scalars=(1.0, CUT_OFF), body=both),
+        Order("RL_STEP", scalars=(1.0, CUT_OFF), body=BOTH),
         Order("RL_ENV_STEP", b"xyz", DONE, scalars=(1.0, CUT_OFF), body=SEEN.body),
         Order("RL_EPISODE", b"0", scalars=(CUT_OFF,)),
     ):
         kit.asks(order)
         kit.send_frames(kit.reply(order).frames)
         _cut_off(kit, order)
-    kit.do(Order("RL_STEP", scalars=(1.0, True), body=both))
+    kit.do(Order("RL_STEP", scalars=(1.0, True), body=BOTH))
 
 
 def _cut_off(kit: ExperimentHarness, order: Order) -> None:
@@ -290,7 +291,7 @@ def _cut_off(kit: ExperimentHarness, order: Order) -> None:
     kit.matches(expected, got, frames)
 
 
-@RULES.add(Tier.COMPLETE, "capabilities", level=Requirement.MAY, capability=OUTCOME)
+@RULES.add(Tier.COMPLETE, "capabilities", capability=OUTCOME)
 def outcome(kit: ExperimentHarness) -> None:
     """The reply to RL_EPISODE may have return and number of steps, or not."""
     older = Order("RL_EPISODE", b"0", scalars=(True,))
@@ -334,10 +335,7 @@ def broken_text(kit: ExperimentHarness) -> None:
     for text in NOT_UTF_8:
         kit.asks(Order("RL_AGENT_MESSAGE", b"?"))
         kit.send(Kind.RL_AGENT_MESSAGE, seq=kit.request.seq, body=text)
-        got, frames = kit.next("RL_ENV_STEP")
-        if got.kind is not Kind.RL_ENV_STEP:
-            raise Broken("RL_ENV_STEP with some text", described(got), frames)
-        kit.took(got)
+        kit.took(kit.expect("RL_ENV_STEP with some text", _reports))
     kit.do(Order("RL_RETURN", scalars=(1.0,)))
 
 
@@ -364,7 +362,7 @@ def max_body(kit: ExperimentHarness) -> None:
     _gives_up(kit, f"a body of more than {limit} bytes", lambda message: len(message.body) > limit)
 
 
-def _gives_up(kit: ExperimentHarness, what: str, wrong: Any) -> None:
+def _gives_up(kit: ExperimentHarness, what: str, wrong: Callable[[Message], bool]) -> None:
     """Expect anything except one message: the client leaves, sends another message, or sends nothing."""
     with suppress(Gone):
         while (frames := kit.heard(4 * kit.quiet)) is not None:
@@ -379,9 +377,7 @@ def end(kit: ExperimentHarness) -> None:
     """The experiment says GOODBYE before it ends."""
     kit.do()
     kit.send_frames(kit.ordering("end"))
-    got, frames = kit.next("GOODBYE")
-    if got.kind is not Kind.GOODBYE:
-        raise Broken("GOODBYE", described(got), frames)
+    kit.expect("GOODBYE", lambda got: got.kind is Kind.GOODBYE)
     kit.cut()
     code = kit.client.wait(kit.wait)
     if code != 0:

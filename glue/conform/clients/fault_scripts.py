@@ -9,12 +9,11 @@ from typing import Final
 import numpy as np
 
 from glue.conform.clients.connection import Connection, Gone
-from glue.conform.clients.harness import Exchange, Harness
+from glue.conform.clients.harness import BEAT, Exchange, Harness
 from glue.conform.rules import Broken
 from glue.system import clock
 from glue.wire import zmtp
-from glue.wire.codec import FROM_HUB, encode
-from glue.wire.messages import Kind, Message, Role
+from glue.wire.messages import Role
 
 _EPISODES: Final = 2
 _MOST_PIECES: Final = 12
@@ -70,7 +69,7 @@ def _pieces(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
 
 def _heartbeats(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
     """HEARTBEATs around a message."""
-    beat = zmtp.encode(encode(Message(Kind.HEARTBEAT, "", 0), FROM_HUB))
+    beat = zmtp.encode(BEAT)
     before, after = rng.integers(0, 20, 2)
     kit.send_bytes(beat * int(before) + zmtp.encode(exchange.frames) + beat * int(after))
     kit.take(exchange.expected)

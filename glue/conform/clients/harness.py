@@ -23,6 +23,9 @@ from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind, Message, Role,
 MAX_BODY: Final = 2**20
 """Bytes of the largest body that the kit accepts, as its WELCOME says."""
 
+BEAT: Final = encode(Message(Kind.HEARTBEAT, "", 0), FROM_HUB)
+"""A HEARTBEAT of the kit's."""
+
 QUIET: Final = 0.25
 """Default seconds of silence after which no message is expected: a wrong message would come at once."""
 
@@ -250,6 +253,13 @@ class Harness(ABC):
                 self.welcome()
             else:
                 return message, frames
+
+    def expect(self, expected: str, fits: Callable[[Message], bool]) -> Message:
+        """Return the client's next message, which must fit."""
+        got, frames = self.next(expected)
+        if not fits(got):
+            raise Broken(expected, described(got), frames)
+        return got
 
     def decoded(self, frames: Sequence[bytes], expected: str = "a message") -> Message:
         """Return the message in the client's frames."""

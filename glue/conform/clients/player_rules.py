@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -262,11 +261,12 @@ def unknown_kind(kit: PlayerHarness) -> None:
     kit.steps(SHOWN)
 
 
-def _error(kit: PlayerHarness, code: ErrorCode) -> str:
-    got, frames = kit.next(f"ERROR {kit.seq} {code}")
-    if (got.kind, got.session, got.seq) != (Kind.ERROR, kit.session, kit.seq) or got.scalars[0] != code:
-        raise Broken(f"ERROR {kit.seq} {code!s}", described(got), frames)
-    return str(got.scalars[1])
+def _error(kit: PlayerHarness, code: ErrorCode, why: str = "") -> str:
+    error = kit.expect(
+        f"ERROR {kit.seq} {code}{why}",
+        lambda got: got[:3] == (Kind.ERROR, kit.session, kit.seq) and got.scalars[0] == code,
+    )
+    return str(error.scalars[1])
 
 
 @RULES.add(Tier.COMPLETE, "what-a-peer-must-should-and-may-do")
@@ -279,7 +279,7 @@ def ignores(kit: PlayerHarness) -> None:
     kit.nothing("in answer to an ERROR or a NOTICE")
 
 
-@RULES.add(Tier.COMPLETE, "capabilities", level=Requirement.MAY, capability="seed")
+@RULES.add(Tier.COMPLETE, "capabilities", capability="seed")
 def seed(kit: PlayerHarness) -> None:
     """A seed may be any number from 0 to 2^63 - 1."""
     for number in (0, 1, 2**31, 2**53 + 1, 2**63 - 1):
@@ -288,7 +288,7 @@ def seed(kit: PlayerHarness) -> None:
             kit.ask("SAVE")
 
 
-@RULES.add(Tier.COMPLETE, "capabilities", level=Requirement.MAY, capability="save", mirror=True)
+@RULES.add(Tier.COMPLETE, "capabilities", capability="save", mirror=True)
 def save(kit: PlayerHarness) -> None:
     """The bytes of save are loaded again."""
     kit.episode()
@@ -299,14 +299,7 @@ def save(kit: PlayerHarness) -> None:
         kit.steps(SHOWN)
 
 
-@RULES.add(
-    Tier.COMPLETE,
-    "capabilities",
-    roles=(Role.AGENT,),
-    level=Requirement.MAY,
-    capability="metrics",
-    mirror=True,
-)
+@RULES.add(Tier.COMPLETE, "capabilities", roles=(Role.AGENT,), capability="metrics", mirror=True)
 def metrics(kit: PlayerHarness) -> None:
     """Each metric is a double, its name a line of the chars; asking changes nothing."""
     kit.episode()
@@ -320,7 +313,6 @@ def metrics(kit: PlayerHarness) -> None:
     "capabilities",
     roles=(Role.ENVIRONMENT,),
     needs=("calls",),
-    level=Requirement.MAY,
     capability="truncate",
     mirror=True,
 )
@@ -332,12 +324,12 @@ def truncate(kit: PlayerHarness) -> None:
 @RULES.add(Tier.COMPLETE, "bodies")
 def broken_text(kit: PlayerHarness) -> None:
     """A text that is not UTF-8 is answered, if only with ERROR."""
+    kinds = Kind.ERROR, kit.kinds["MESSAGE"]
     for text in NOT_UTF_8:
         kit.seq += 1
         kit.send(kit.kinds["MESSAGE"], seq=kit.seq, body=text)
-        got, frames = kit.next("an answer or an ERROR")
-        if got.kind not in (Kind.ERROR, kit.kinds["MESSAGE"]) or got.seq != kit.seq:
-            raise Broken(f"{kit.kinds['MESSAGE'].name} {kit.seq}, or ERROR", described(got), frames)
+        expected = f"{kinds[1].name} {kit.seq}, or ERROR"
+        got = kit.expect(expected, lambda got: got.kind in kinds and got.seq == kit.seq)
         if got.kind is Kind.ERROR and _left(kit):
             return
     kit.steps(SHOWN)
@@ -351,9 +343,7 @@ def max_body(kit: PlayerHarness) -> None:
     kit.welcome(max_body=limit)
     exchange = kit.step(Observation([1] * 4995))
     kit.send_frames(exchange.frames)
-    got, frames = kit.next("ERROR exception")
-    if got.kind is not Kind.ERROR or got.scalars[0] != ErrorCode.EXCEPTION or got.seq != kit.seq:
-        raise Broken(f"ERROR {kit.seq} exception, since {limit} bytes are allowed", described(got), frames)
+    _error(kit, ErrorCode.EXCEPTION, f", since {limit} bytes are allowed")
     if not _left(kit):
         kit.reconnect()
         kit.steps(SHOWN)
@@ -398,9 +388,7 @@ _STEPS: Final = 60
 """Number of steps in which the environment's batch is checked."""
 
 
-@RULES.add(
-    Tier.COMPLETE, "batches", name="batch", roles=(Role.AGENT,), level=Requirement.MAY, capability="batch"
-)
+@RULES.add(Tier.COMPLETE, "batches", name="batch", roles=(Role.AGENT,), capability="batch")
 def acting(kit: PlayerHarness) -> None:
     """An agent is shown a batch, and answers with an action for each of its games."""
     kit.fresh()
@@ -418,14 +406,7 @@ def acting(kit: PlayerHarness) -> None:
     kit.drop()  # The client's numbers are not those of the kit's own model.
 
 
-@RULES.add(
-    Tier.COMPLETE,
-    "batches",
-    name="batch",
-    roles=(Role.ENVIRONMENT,),
-    level=Requirement.MAY,
-    capability="batch",
-)
+@RULES.add(Tier.COMPLETE, "batches", name="batch", roles=(Role.ENVIRONMENT,), capability="batch")
 def playing(kit: PlayerHarness) -> None:
     """An environment shows each of its games: rewards, terminals, and last observations of those cut off."""
     kit.fresh()
@@ -451,10 +432,7 @@ def _answer(kit: PlayerHarness, name: str, *scalars: float, body: bytes = b"") -
     kit.seq += 1
     kind = kit.kinds[name]
     kit.send(kind, *scalars, seq=kit.seq, body=body)
-    got, frames = kit.next(f"{kind.name} {kit.seq}")
-    if got[:3] != (kind, kit.session, kit.seq):
-        raise Broken(f"{kind.name} {kit.seq}", described(got), frames)
-    return got
+    return kit.expect(f"{kind.name} {kit.seq}", lambda got: got[:3] == (kind, kit.session, kit.seq))
 
 
 def _checked(answer: Message, games: int, start: bool = False) -> None:
@@ -463,21 +441,16 @@ def _checked(answer: Message, games: int, start: bool = False) -> None:
         rewards, terminals, _ = unpack_batch(Observation.from_body(answer.body))
     except GlueError as error:
         raise Broken(f"a batch of {games} games: {error}", described(answer)) from None
-    wrong = _mistake(rewards.tolist(), terminals.tolist(), answer, games, start)
-    if wrong:
-        raise Broken(wrong, described(answer))
-
-
-def _mistake(
-    rewards: Sequence[float], terminals: Sequence[int], answer: Message, games: int, start: bool
-) -> str:
-    if len(rewards) != games or len(terminals) != games:
-        return f"rewards and terminals of {games} games"
-    if start:
-        return "rewards and terminals of 0 at the start" if any(rewards) or any(terminals) else ""
-    reward, terminal = answer.scalars
-    if terminal is not False:
-        return "the terminal false: games of a batch end by themselves"
-    if not math.isclose(float(str(reward)), math.fsum(rewards), rel_tol=1e-9, abs_tol=1e-9):
-        return f"as reward {math.fsum(rewards)!r}, the sum of the games' rewards"
-    return ""
+    sum_of_rewards = math.fsum(rewards.tolist())
+    reward, terminal = (sum_of_rewards, False) if start else answer.scalars
+    for kept, expected in (
+        (len(rewards) == len(terminals) == games, f"rewards and terminals of {games} games"),
+        (not start or not (rewards.any() or terminals.any()), "rewards and terminals of 0 at the start"),
+        (terminal is False, "the terminal false: games of a batch end by themselves"),
+        (
+            math.isclose(float(str(reward)), sum_of_rewards, rel_tol=1e-9, abs_tol=1e-9),
+            f"as reward {sum_of_rewards!r}, the sum of the games' rewards",
+        ),
+    ):
+        if not kept:
+            raise Broken(expected, described(answer))

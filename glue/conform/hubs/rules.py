@@ -7,7 +7,7 @@ from typing import Final
 
 from glue.conform.forms import SPOILED, SPOILED_BODIES
 from glue.conform.hubs.scripted import TASK_SPEC, Scene, ScriptedPeer, did, number, reward, saw
-from glue.conform.messages import shown
+from glue.conform.messages import described
 from glue.conform.rules import Broken, Rules, Tier
 from glue.types import Action
 from glue.wire.codec import TO_HUB, encode
@@ -51,21 +51,11 @@ def calls(scene: Scene) -> None:
     scene.start()  # The episode is abandoned without AGENT_END.
     scene.step(1)
     scene.episode(0, 3)
-    scene.experiment.ask(Kind.RL_ENV_START)
-    scene.environment.answers(Kind.ENV_START, gives=saw(0))
-    scene.experiment.expects_reply(Kind.RL_ENV_START, body=saw(0))
-    scene.experiment.ask(Kind.RL_AGENT_START, body=saw(4))
-    scene.agent.answers(Kind.AGENT_START, body=saw(4), gives=did(4))
-    scene.experiment.expects_reply(Kind.RL_AGENT_START, body=did(4))
-    scene.experiment.ask(Kind.RL_ENV_STEP, body=did(5))
-    scene.environment.answers(Kind.ENV_STEP, body=did(5), reply=(0.1, False), gives=saw(6))
-    scene.experiment.expects_reply(Kind.RL_ENV_STEP, 0.1, False, body=saw(6))
-    scene.experiment.ask(Kind.RL_AGENT_STEP, -0.3, body=saw(7))
-    scene.agent.answers(Kind.AGENT_STEP, -0.3, body=saw(7), gives=did(8))
-    scene.experiment.expects_reply(Kind.RL_AGENT_STEP, body=did(8))
-    scene.experiment.ask(Kind.RL_AGENT_END, 1e300)
-    scene.agent.answers(Kind.AGENT_END, 1e300)
-    scene.experiment.expects_reply(Kind.RL_AGENT_END)
+    scene.relay(Kind.RL_ENV_START, gives=saw(0))
+    scene.relay(Kind.RL_AGENT_START, body=saw(4), gives=did(4))
+    scene.relay(Kind.RL_ENV_STEP, body=did(5), reply=(0.1, False), gives=saw(6))
+    scene.relay(Kind.RL_AGENT_STEP, -0.3, body=saw(7), gives=did(8))
+    scene.relay(Kind.RL_AGENT_END, 1e300)
     scene.experiment.ask(Kind.RL_CLEANUP)
     scene.environment.answers(Kind.ENV_CLEANUP)
     scene.agent.answers(Kind.AGENT_CLEANUP)
@@ -84,7 +74,7 @@ def numbers(scene: Scene) -> None:
     scene.episode(0, 3)
     for before, call in pairwise(scene.calls):
         if call.seq <= before.seq:
-            raise Broken("calls with growing numbers", f"{shown(call)} after call {before.seq}")
+            raise Broken("calls with growing numbers", f"{described(call)} after call {before.seq}")
 
 
 @RULES.add(Tier.PLAYS, "what-the-calls-mean")
@@ -105,9 +95,7 @@ def counters(scene: Scene) -> None:
     scene.episode(0, 2)
     scene.counted(reward(1) + reward(2), 2, 2)
     scene.experiment.ask(Kind.RL_INIT, None)
-    scene.environment.answers(Kind.ENV_INIT)
-    scene.agent.answers(Kind.AGENT_INIT)
-    scene.experiment.expects_reply(Kind.RL_INIT)
+    scene.initialised()
     scene.counted(0.0, 0, 0)
 
 
@@ -136,7 +124,7 @@ def outcome(scene: Scene) -> None:
         steps = length if ended else limit
         told = ended, sum(map(reward, range(1, steps + ended))), steps
         scene.experiment.check(
-            message.scalars in (told, told[:1]), f"{shown(message)} received, and the outcome is {told}"
+            message.scalars in (told, told[:1]), f"{described(message)} received, and the outcome is {told}"
         )
         scene.counted(*told[1:], 1)
 
@@ -164,14 +152,9 @@ def messages(scene: Scene) -> None:
     # Messages before RL_INIT: empty, long, with zero bytes.
     scene.gather()
     texts = {b"": b"nothing?", ("größer\n" * 50).encode(): b"", b"a\0b": b"c\0d"}
-    for kind, call, player in (
-        (Kind.RL_AGENT_MESSAGE, Kind.AGENT_MESSAGE, scene.agent),
-        (Kind.RL_ENV_MESSAGE, Kind.ENV_MESSAGE, scene.environment),
-    ):
+    for request in (Kind.RL_AGENT_MESSAGE, Kind.RL_ENV_MESSAGE):
         for text, answer in texts.items():
-            scene.experiment.ask(kind, body=text)
-            player.answers(call, body=text, gives=answer)
-            scene.experiment.expects_reply(kind, body=answer)
+            scene.relay(request, body=text, gives=answer)
 
 
 @RULES.add(Tier.COMPLETE, "greeting")
@@ -220,16 +203,12 @@ def seed(scene: Scene) -> None:
         scene.experiment.ask(Kind.RL_INIT, seed)
         call = scene.environment.expects(Kind.ENV_SEED)
         scene.environment.send(Kind.ENV_SEED, seq=call.seq)
-        scene.environment.answers(Kind.ENV_INIT)
-        scene.agent.answers(Kind.AGENT_INIT)
-        scene.experiment.expects_reply(Kind.RL_INIT)
+        scene.initialised()
         given.append(call.scalars)
     same, different = given[0] == given[1], given[1] != given[2]
     scene.environment.check(same and different, f"{given} received for the seeds 2026, 2026, 7")
     scene.experiment.ask(Kind.RL_INIT, None)
-    scene.environment.answers(Kind.ENV_INIT)
-    scene.agent.answers(Kind.AGENT_INIT)
-    scene.experiment.expects_reply(Kind.RL_INIT)
+    scene.initialised()
 
 
 @RULES.add(Tier.COMPLETE, "capabilities")
@@ -239,12 +218,8 @@ def unsupported(scene: Scene) -> None:
     scene.environment = scene.peer(Role.ENVIRONMENT, "save")
     scene.init()
     saved = bytes(range(256))
-    scene.experiment.ask(Kind.RL_ENV_SAVE)
-    scene.environment.answers(Kind.ENV_SAVE, gives=saved)
-    scene.experiment.expects_reply(Kind.RL_ENV_SAVE, body=saved)
-    scene.experiment.ask(Kind.RL_ENV_LOAD, body=saved)
-    scene.environment.answers(Kind.ENV_LOAD, body=saved)
-    scene.experiment.expects_reply(Kind.RL_ENV_LOAD)
+    scene.relay(Kind.RL_ENV_SAVE, gives=saved)
+    scene.relay(Kind.RL_ENV_LOAD, body=saved)
     for kind in (Kind.RL_AGENT_SAVE, Kind.RL_AGENT_LOAD):
         scene.experiment.ask(kind, body=saved)
         scene.experiment.expects_error(ErrorCode.UNSUPPORTED, scene.experiment.seq)
@@ -297,10 +272,8 @@ def repeated(scene: Scene) -> None:
     scene.experiment.ask(Kind.RL_STEP)
     scene.experiment.send(Kind.RL_STEP, seq=scene.experiment.seq)
     number = scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
-    for _ in range(2):
-        scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
-    scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
-    scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
+    scene.finish_first_step(number)
     scene.experiment.send(Kind.RL_STEP, seq=scene.experiment.seq)
     for peer in (scene.experiment, scene.environment, scene.agent):
         peer.expects_nothing()
@@ -319,13 +292,10 @@ def not_asked(scene: Scene) -> None:
     scene.experiment.expects_error(ErrorCode.NOT_ASKED, scene.experiment.seq)
     scene.agent.send(Kind.AGENT_STEP, seq=10**6, body=did(9))
     scene.agent.expects_error(ErrorCode.NOT_ASKED, 10**6)
-    scene.experiment.ask(Kind.RL_STEP)
-    number = scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
+    number = scene.first_step()
     scene.agent.send(Kind.ENV_STEP, 100.0, True, seq=number, body=saw(9))  # It is not the agent's turn.
     scene.agent.expects_error(ErrorCode.NOT_ASKED, number)
-    scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
-    scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
-    scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.finish_first_step(number)
     scene.counted(reward(1), 2, 0)
 
 
@@ -347,8 +317,7 @@ def exception(scene: Scene) -> None:
     # A player fails in a call, and continues.
     scene.init()
     scene.start()
-    scene.experiment.ask(Kind.RL_STEP)
-    number = scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
+    number = scene.first_step()
     scene.environment.send(Kind.ERROR, "exception", "division by zero", seq=number)
     scene.experiment.expects_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
     scene.episode(0, 2)
@@ -386,17 +355,14 @@ def resumed(scene: Scene) -> None:
     # Environment and experiment come back over new connections in the middle of a step.
     scene.init()
     scene.start()
-    scene.experiment.ask(Kind.RL_STEP)
-    number = scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
+    number = scene.first_step()
     scene.environment.connect()
     scene.environment.join(resumed=True)
     again = scene.environment.expects(Kind.ENV_STEP)
     scene.environment.check(
-        (again.seq, again.body) == (number, did(0)), f"{shown(again)} received instead of call {number}"
+        (again.seq, again.body) == (number, did(0)), f"{described(again)} received instead of call {number}"
     )
-    scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
-    scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
-    scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.finish_first_step(number)
     scene.experiment.connect()
     scene.experiment.join(resumed=True)
     scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
@@ -418,7 +384,7 @@ def welcome_lost(scene: Scene) -> None:
     scene.environment.connect()
     scene.environment.join(resumed=False)
     again = scene.environment.expects(Kind.ENV_INIT)
-    scene.environment.check(again.seq == number, f"{shown(again)} received instead of call {number}")
+    scene.environment.check(again.seq == number, f"{described(again)} received instead of call {number}")
     scene.environment.send(Kind.ENV_INIT, seq=number, body=TASK_SPEC.encode())
     scene.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
     scene.experiment.expects_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
@@ -474,8 +440,7 @@ def silent(scene: Scene) -> None:
     scene.init()
     scene.start()
     heartbeat, timeout = map(number, scene.agent.join(resumed=True).scalars[2:4])
-    scene.experiment.ask(Kind.RL_STEP)
-    scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
+    scene.first_step()
     scene.environment.vanish()
     scene.wait += timeout + 2 * heartbeat
     scene.experiment.expects_error(ErrorCode.PEER_LOST, scene.experiment.seq)
@@ -509,7 +474,7 @@ def replaced(scene: Scene) -> None:
 
 def _refused(peer: ScriptedPeer, code: ErrorCode, seq: int) -> None:
     refuse = peer.expects(Kind.REFUSE, seq)
-    peer.check(refuse.scalars[0] == code, f"{shown(refuse)} received instead of the code {code}")
+    peer.check(refuse.scalars[0] == code, f"{described(refuse)} received instead of the code {code}")
 
 
 def _unknown(session: str) -> bytes:

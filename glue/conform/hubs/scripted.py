@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from glue.client.libzmq import Context, DealerTransport
-from glue.conform.messages import shown
+from glue.conform.messages import described
 from glue.conform.rules import Broken
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.hub.sessions import INSTANCE_SIZE
@@ -18,7 +18,7 @@ from glue.system import chance, clock
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.limits import MAX_BODY, MAX_HEADER
-from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
 
 TASK_SPEC: Final = "a task for a hub, with ümlauts"
 
@@ -89,7 +89,7 @@ class ScriptedPeer:
         self.hello(seq=seq)
         welcome = self.expects(Kind.WELCOME, seq)
         known = "a known" if resumed else "an unknown"
-        self.check(welcome.scalars[1] is resumed, f"{shown(welcome)} received for {known} instance")
+        self.check(welcome.scalars[1] is resumed, f"{described(welcome)} received for {known} instance")
         return welcome
 
     def send(self, kind: Kind, *scalars: Value, seq: int = 0, body: bytes = b"") -> None:
@@ -124,19 +124,20 @@ class ScriptedPeer:
                 self.notices.append(message.scalars)
             elif message.kind is not Kind.HEARTBEAT:
                 where = "" if message.session == named else f" of session {message.session!r}"
-                raise self.broken(f"{shown(message)}{where} received instead of {expected}")
+                raise self.broken(f"{described(message)}{where} received instead of {expected}")
         raise self.broken(f"{expected} was not received in time")
 
     def expects_error(self, code: ErrorCode, seq: int | None = None) -> None:
         """Expect an ERROR of this code."""
         error = self.expects(Kind.ERROR, seq)
-        self.check(error.scalars[0] == code, f"{shown(error)} received instead of the error {code}")
+        self.check(error.scalars[0] == code, f"{described(error)} received instead of the error {code}")
 
     def expects_malformed(self) -> None:
         """Expect the reply to a malformed message."""
         error = self.expects(Kind.ERROR, 0, session="")
         self.check(
-            error.scalars[0] == ErrorCode.MALFORMED, f"{shown(error)} received instead of the error malformed"
+            error.scalars[0] == ErrorCode.MALFORMED,
+            f"{described(error)} received instead of the error malformed",
         )
 
     def expects_notice(self, event: Event, role: Role) -> None:
@@ -154,7 +155,7 @@ class ScriptedPeer:
         """Expect a call with just these scalars and body; return its number."""
         call = self.expects(kind)
         wanted = call._replace(scalars=scalars, body=body)
-        self.check(call == wanted, f"{shown(call)} received instead of {shown(wanted)}")
+        self.check(call == wanted, f"{described(call)} received instead of {described(wanted)}")
         self._scene.calls.append(call)
         return call.seq
 
@@ -173,7 +174,7 @@ class ScriptedPeer:
         """Expect the reply to the last request, with just these scalars and body."""
         reply = self.expects(kind, self.seq)
         wanted = reply._replace(scalars=scalars, body=body)
-        self.check(reply == wanted, f"{shown(reply)} received instead of {shown(wanted)}")
+        self.check(reply == wanted, f"{described(reply)} received instead of {described(wanted)}")
 
     def gets(self, kind: Kind, *scalars: Value) -> None:
         """Send a request that concerns no player, and expect a reply with these scalars."""
@@ -250,6 +251,10 @@ class Scene:
         """Let all three peers join, and carry out RL_INIT."""
         self.gather()
         self.experiment.ask(Kind.RL_INIT, None)
+        self.initialised()
+
+    def initialised(self) -> None:
+        """Answer the players' calls of an RL_INIT, and expect its reply."""
         self.environment.answers(Kind.ENV_INIT, gives=TASK_SPEC.encode())
         self.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
         self.experiment.expects_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
@@ -266,6 +271,32 @@ class Scene:
         self.stepped(step, terminal)
         last = did(step - 1 if terminal else step)
         self.experiment.expects_reply(Kind.RL_STEP, reward(step), terminal, body=saw(step) + last)
+
+    def first_step(self) -> int:
+        """Ask for the first RL_STEP; return the number of the environment's call, which is not answered."""
+        self.experiment.ask(Kind.RL_STEP)
+        return self.environment.expects_call(Kind.ENV_STEP, body=did(0))
+
+    def finish_first_step(self, number: int) -> None:
+        """Answer the environment's call of the first RL_STEP, and complete the step."""
+        self.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
+        self.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
+        self.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+
+    def relay(
+        self,
+        request: Kind,
+        *scalars: Value,
+        body: bytes = b"",
+        reply: tuple[Value, ...] = (),
+        gives: bytes = b"",
+    ) -> None:
+        """Carry out a request that is a single call to a player, as RL_ENV_STEP is ENV_STEP."""
+        call = Kind[request.name.removeprefix("RL_")]
+        player = self.agent if CALLS[call].callee is Role.AGENT else self.environment
+        self.experiment.ask(request, *scalars, body=body)
+        player.answers(call, *scalars, body=body, reply=reply, gives=gives)
+        self.experiment.expects_reply(request, *reply, body=gives)
 
     def episode(self, limit: int, length: int) -> None:
         """Carry out RL_EPISODE; the episode ends at step `length`."""

@@ -3,9 +3,9 @@
 libzmq's own ROUTER is not used: it keeps all of a message that never ends, it aborts the process when a
 connection breaks in the middle of a flood (libzmq's issue 4364), and its threads double the time of a step.
 
-A connection has to take a seat in a session soon after it is made. In a turn of the loop, one message is read
-from it for each of its seats, so that sessions share the hub fairly. If a message was out of turn, the next
-one waits in the loop's queue. The hub reads from a peer no faster than the peer reads what it is sent.
+A connection has to join a session soon after it is made. In a turn of the loop, one message is read from it
+for each of its sessions, so that sessions share the hub fairly. If a message was out of turn, the next one
+waits in the loop's queue. The hub reads from a peer no faster than the peer reads what it is sent.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ MAX_UNSENT: Final = 64 * 2**20
 """Maximum number of bytes waiting to be sent to one peer; with more, the peer counts as unreachable."""
 
 MAX_WITHOUT_SESSION: Final = 256
-"""Maximum number of connections without a seat; one more, and the oldest is dropped."""
+"""Maximum number of connections that take part in no session; one more, and the oldest is dropped."""
 
 _BASE: Final = 6144
 """Bytes that a connection uses at most besides what it has received and not sent."""
 
-_SEAT: Final = 4608
-"""Bytes that a seat uses at most: the peer, its names, and the formats of its steps."""
+_PEER: Final = 4608
+"""Bytes that a peer in one session uses at most: its names, and the formats of its steps."""
 
 _MAX_COPIED: Final = 65_536
 """Maximum size of a body that is sent together with its head, in bytes; copying more costs memory."""
@@ -91,23 +91,22 @@ class _SocketChannel:
         if size > _MAX_COPIED and self._stream.copies and not self._sessions.memory.make_room(size):
             return False
         data, body = self._stream.encode(message)
-        if len(body) > _MAX_COPIED:
-            self.send_joined()
-            connection.send(data)
-            data = body
-        elif body:
+        if body and len(body) <= _MAX_COPIED:
             data += body
+            body = b""
         joined = self._channels.joined
-        if kind not in STEPS:
-            self.send_joined()
-            connection.send(data)
-        elif joined is not None:
+        if kind in STEPS and joined is not None and not body:
             joined.setdefault(self, []).append(data)
-        else:
-            connection.send(data)
+            return True
+        if joined:
+            self.send_joined()
+        connection.send(data)
+        if body:
+            connection.send(body)
+        if kind in STEPS:
             self._loop.expect(connection)
         if connection.unsent:
-            self._weigh()
+            self._account_for_data()
         return True
 
     def send_joined(self) -> None:
@@ -118,7 +117,7 @@ class _SocketChannel:
             self.connection.send(b"".join(steps))
             self._loop.expect(self.connection)
             if self.connection.unsent:
-                self._weigh()
+                self._account_for_data()
 
     @property
     def in_session(self) -> bool:
@@ -131,13 +130,13 @@ class _SocketChannel:
         self.account()
 
     def evict(self, why: str) -> None:
-        """Drop the connection, which uses too much memory, or its seats if it is gone already."""
+        """Drop the connection, which uses too much memory, or its peers if it is gone already."""
         if self._channels.has(self):
             self._channels.drop(self, why)
         else:
             self._sessions.lose(self, why, clock.monotonic())
 
-    def _weigh(self) -> None:
+    def _account_for_data(self) -> None:
         """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
         held = (self._stream.buffered + self.connection.unsent) * 9 // 8  # buffers grow by an eighth
         if held != self._held:
@@ -145,65 +144,74 @@ class _SocketChannel:
             self.account()
 
     def account(self) -> None:
-        """Account for the connection until it is dropped, and for its seats, which may outlast it."""
+        """Account for the connection until it is dropped, and for its peers, which may outlast it."""
         used = _BASE + self._held if self._channels.has(self) else 0
-        self._sessions.memory.account(self, used + _SEAT * self._sessions.num_sessions(self))
+        self._sessions.memory.account(self, used + _PEER * self._sessions.num_sessions(self))
 
     def ready(self, now: float) -> None:
-        """Act on messages received, at most one for each seat."""
-        connection, stream, sessions = self.connection, self._stream, self._sessions
+        """Act on messages received, at most one for each session."""
+        connection, memory = self.connection, self._sessions.memory
         data = connection.receive()
         if data:
-            stream.receive_data(data)
-        left = sessions.num_sessions(self) or 1
-        event: Message | bytes | None = b""  # None: nothing is left to read
+            self._stream.receive_data(data)
         try:
-            while left and not connection.unsent:
-                event = stream.next_event()
-                if event is None:
-                    break
-                left -= 1
-                if type(event) is not Message:
-                    connection.in_turn = False
-                    connection.send(event)
-                    break
-                if left and not stream.empty:
-                    self._channels.join()
-                connection.in_turn = sessions.receive(self, event, now)
-                if event[0] is _HELLO:
-                    self._channels.greeted(self, event)
-                if not connection.in_turn:
-                    break
-        except (Malformed, UnknownKind) as error:
-            connection.in_turn = False
-            had_seats = self.in_session
-            sessions.malformed(self, error, now)
-            if not had_seats and isinstance(error, Malformed):
-                self._dismiss(str(error))
-                return
+            all_read = self._act(now)
         except RemoteProtocolError as error:
-            if isinstance(error, zmtp.HandshakeRefused):
-                connection.send(error.farewell)
-            self._dismiss(str(error))
-            return
+            self._reject(error, now)
+            all_read = self._stream.empty
         finally:
             if self._channels.joined is not None:
                 self._channels.send_joined()
+        if self._dismissed:
+            return
         if connection.unsent:
-            # The turn after everything has been sent resumes here.
-            connection.read(False)
-        elif event is None or stream.empty:
-            connection.read(True)
-            if data is not None and not data:
-                self._channels.drop(self, None)
-                return
-        else:
+            connection.read(False)  # the turn after everything has been sent resumes here
+        elif not all_read:
             connection.read(False)
             connection.later()
-        if connection.unsent or self._held or not stream.empty:
-            self._weigh()
-        if sessions.memory.exceeded:
-            sessions.memory.enforce()
+        elif data == b"":
+            self._channels.drop(self, None)
+            return
+        else:
+            connection.read(True)
+        if connection.unsent or self._held or not self._stream.empty:
+            self._account_for_data()
+        if memory.exceeded:
+            memory.enforce()
+
+    def _act(self, now: float) -> bool:
+        """Act on at most one message for each session; return whether all that was received has been read."""
+        connection, stream, sessions = self.connection, self._stream, self._sessions
+        left = sessions.num_sessions(self) or 1
+        while left and not connection.unsent:
+            event = stream.next_event()
+            if event is None:
+                return True
+            left -= 1
+            if type(event) is not Message:
+                connection.in_turn = False
+                connection.send(event)
+                break
+            if left and not stream.empty:
+                self._channels.join()
+            connection.in_turn = sessions.receive(self, event, now)
+            if event[0] is _HELLO:
+                self._channels.greeted(self, event)
+            if not connection.in_turn:
+                break
+        return stream.empty
+
+    def _reject(self, error: RemoteProtocolError, now: float) -> None:
+        """Act on bytes that are not a message; keep a connection on which others may follow."""
+        self.connection.in_turn = False
+        in_session = self.in_session
+        if isinstance(error, Malformed | UnknownKind):
+            self._sessions.malformed(self, error, now)
+            if in_session or isinstance(error, UnknownKind):
+                return
+        elif isinstance(error, zmtp.HandshakeRefused):
+            self.connection.send(error.farewell)
+        self._dismiss(str(error))
 
     def failed(self, now: float) -> None:
         """Forget the connection, which was reset after an error of the hub."""
@@ -211,7 +219,7 @@ class _SocketChannel:
         self._sessions.lose(self, "was dropped after an error of the hub", now)
 
     def close(self) -> None:
-        """Close the connection, and release everything that is kept for it; the peer's seats may remain."""
+        """Close the connection, and release everything that is kept for it; its peers may remain."""
         self._stream = Stream(zmtp.ROUTER, 0)
         self.connection.close()
 
@@ -219,7 +227,7 @@ class _SocketChannel:
         """End the connection once the peer has received all messages so far; send it no more."""
         self._dismissed = True
         self._stream = Stream(zmtp.ROUTER, 0)
-        self._weigh()
+        self._account_for_data()
         self._channels.complain(self, why)
         self.connection.in_turn = False
         self.connection.finish()
@@ -288,7 +296,7 @@ class Channels:
         self._keys: Keys | None = None  # keys that have replaced those of the addresses
         self._open: dict[_SocketChannel, None] = {}  # in the order in which they were accepted
         self._without_session: dict[_SocketChannel, float] = {}
-        """Channels without a seat, the oldest first, each with the time since which it has had none."""
+        """Channels that take part in no session, the oldest first, and since when."""
         self._listeners = [
             Listener(loop, address, partial(self._accept, bind), log) for bind, address in addresses
         ]
@@ -376,7 +384,6 @@ class Channels:
     def _left(self, channel: Channel, session: str) -> None:
         if isinstance(channel, _SocketChannel):
             channel.forget(session)
-            channel.account()
 
     def _tick(self, now: float) -> None:
         for channel in list(self._open):

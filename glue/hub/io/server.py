@@ -109,7 +109,7 @@ class Hub(Closing):
     def renew_keys(self, keys: Keys) -> None:
         """Replace the keys of every address that has any, at the next heartbeat; callable from any thread.
 
-        Peers whose key is gone, or now has another permit, lose their connection and their seats.
+        Peers whose key is gone, or now has another permit, lose their connection and leave their sessions.
         """
         self._new_keys = keys
 

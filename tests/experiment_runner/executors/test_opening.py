@@ -9,7 +9,9 @@ from types import ModuleType
 
 import pytest
 
-from experiment_runner.executors.opening import OtherRun, Remaining, create_run, remaining, resume_run
+from env_server.mario.pictures import digest_of
+from experiment_runner.cli.planning import make_plan, role_sweeps
+from experiment_runner.executors.opening import OtherRun, Remaining, open_run, remaining
 from experiment_runner.plan.file import dump_plan, load_plan
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.plan.provenance import program
@@ -18,6 +20,7 @@ from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
+from glue.wire.messages import Role
 
 PLAN = Plan(episodes=5, trials=4, agents=(RoleSweep("sarsa", {"step_size": 0.5}),))
 DONE, CHECKPOINTED, PLAIN, UNTOUCHED = (spec.id for spec in PLAN.expand())
@@ -36,7 +39,7 @@ def run(store: Store, trial_id: str, first: int, last: int, checkpoint_at: int =
 @pytest.fixture
 def interrupted(tmp_path: Path) -> Path:
     directory = tmp_path / "run"
-    with create_run(directory, PLAN) as store:
+    with open_run(directory, PLAN) as store:
         run(store, DONE, 1, 5, checkpoint_at=5)
         run(store, CHECKPOINTED, 1, 4, checkpoint_at=3)
         run(store, PLAIN, 1, 2)
@@ -58,9 +61,8 @@ def test_trials_go_on_after_their_checkpoint_or_start_over(interrupted: Path) ->
     expected = [Remaining(CHECKPOINTED, 3, 1), Remaining(PLAIN, 0, 2), Remaining(UNTOUCHED, 0, 0)]
     with Results.open(interrupted) as results:
         assert remaining(results) == expected
-    store, left = resume_run(interrupted, PLAN, clock=lambda: 9.0)
-    with store:
-        assert left == expected
+    with open_run(interrupted, PLAN) as store:
+        assert remaining(store) == [trial._replace(dropped=0) for trial in expected]
         assert [record.done for record in store.trials()] == [5, 3, 0, 0]
         assert store.checkpoint(CHECKPOINTED) == (3, Checkpoint(b"after 3"))
         assert all(record.failure is None for record in store.trials())
@@ -76,18 +78,18 @@ def test_directory_of_another_plan_is_refused_untouched(interrupted: Path) -> No
     other = replace(PLAN, episodes=4, agents=(RoleSweep("sarsa", {"step_size": 0.25}),))
     message = r"another plan \(episodes is 4, not 5; step_size of sarsa is 0.25, not 0.5\)"
     with pytest.raises(OtherRun, match=message):
-        resume_run(interrupted, other)
+        open_run(interrupted, other)
     with Results.open(interrupted) as results:
         assert [record.done for record in results.trials()] == [5, 4, 2, 0]
         assert [event.kind for event in results.events()] == ["start"]
-    resume_run(interrupted)[0].close()  # the lock is free
+    open_run(interrupted, PLAN).close()  # the lock is free
 
 
 def test_plan_edited_behind_the_runs_back_is_refused(interrupted: Path) -> None:
     path = interrupted / PLAN_FILE
     path.write_text(path.read_text().replace("episodes = 5", "episodes = 4"))
     with pytest.raises(ExperimentError, match=r"plan.toml was changed after its run began"):
-        resume_run(interrupted)
+        open_run(interrupted, PLAN)
 
 
 @pytest.mark.parametrize("killed", [False, True])
@@ -95,17 +97,17 @@ def test_longer_plan_extends_a_run(interrupted: Path, killed: bool) -> None:
     longer = replace(PLAN, episodes=7, trials=5)
     if killed:  # after writing the plan, before writing the trials
         (interrupted / PLAN_FILE).write_text(dump_plan(longer))
-    store, left = resume_run(interrupted, None if killed else longer)
-    with store:
+    with open_run(interrupted, longer) as store:
+        left = remaining(store)
         assert load_plan(interrupted / PLAN_FILE) == longer
         assert {trial.spec.id: trial.spec for trial in store.trials()} == {s.id: s for s in longer.expand()}
         new = longer.expand()[-1].id
-        assert left[:2] == [Remaining(DONE, 5, 0), Remaining(CHECKPOINTED, 3, 1)]
+        assert left[:2] == [Remaining(DONE, 5, 0), Remaining(CHECKPOINTED, 3, 0)]
         assert left[-1] == Remaining(new, 0, 0)
         run(store, DONE, 6, 7)
         run(store, new, 1, 7)
     with pytest.raises(OtherRun, match="episodes is 5, not 7; trials is 4, not 5"):
-        resume_run(interrupted, PLAN)
+        open_run(interrupted, PLAN)
 
 
 def test_changed_file_is_named_and_the_run_left_as_it_is(tmp_path: Path) -> None:
@@ -114,20 +116,37 @@ def test_changed_file_is_named_and_the_run_left_as_it_is(tmp_path: Path) -> None
     weights.write_bytes(b"two")
     plan = Plan(episodes=1, agents=(RoleSweep(f"{agent}:Mine", {"policy": str(weights)}),))
     directory = tmp_path / "run"
-    create_run(directory, plan).close()
+    open_run(directory, plan).close()
     about = json.loads((directory / ABOUT_FILE).read_text())
     assert [(directory / about["files"][str(path)]["copy"]).read_text() for path in (agent, weights)] == [
         "one",
         "two",
     ]
-    resume_run(directory, plan)[0].close()
+    open_run(directory, plan).close()
     weights.write_bytes(b"three")
-    for again in (plan, None):
-        with pytest.raises(OtherRun) as refused:
-            resume_run(directory, again)
-        assert refused.value.differences == [f"{weights} has changed since"]
+    with pytest.raises(OtherRun) as refused:
+        open_run(directory, plan)
+    assert refused.value.differences == [f"{weights} has changed since"]
     remove_run(directory)
     assert not directory.exists()
+
+
+def test_a_run_on_the_level_of_a_file_is_of_that_file(tmp_path: Path) -> None:
+    level, directory = tmp_path / "level.txt", tmp_path / "run"
+    level.write_text("X" * 20)
+
+    def plan() -> Plan:
+        sweeps = role_sweeps(Role.ENVIRONMENT, "mario", (f"level={level}", "instance=9"))
+        return make_plan(None, {"episodes": 1}, {"environments": sweeps})
+
+    options = plan().environments[0].options
+    assert options == {"level": str(level), "instance": 9, "level_digest": digest_of(level)}
+    open_run(directory, plan()).close()
+    open_run(directory, plan()).close()
+    assert json.loads((directory / ABOUT_FILE).read_text())["files"][str(level)]["sha256"] == digest_of(level)
+    level.write_text("X" * 21)
+    with pytest.raises(OtherRun, match=r"level\.txt has changed since"):
+        open_run(directory, plan())
 
 
 def test_module_without_a_file_is_no_file_of_the_user(
@@ -136,7 +155,7 @@ def test_module_without_a_file_is_no_file_of_the_user(
     in_memory = ModuleType("in_memory")
     in_memory.__file__ = "_ops.py"  # as in torch.ops
     monkeypatch.setitem(sys.modules, "in_memory", in_memory)
-    create_run(tmp_path / "run", PLAN).close()
+    open_run(tmp_path / "run", PLAN).close()
     about = json.loads((tmp_path / "run" / ABOUT_FILE).read_text())
     assert not [path for path in about.get("files", {}) if path.endswith("_ops.py")]
 
@@ -144,4 +163,4 @@ def test_module_without_a_file_is_no_file_of_the_user(
 def test_run_without_a_plan_cannot_go_on(interrupted: Path) -> None:
     (interrupted / PLAN_FILE).unlink()
     with pytest.raises(ExperimentError, match="was merged from other runs"):
-        resume_run(interrupted)
+        open_run(interrupted, PLAN)

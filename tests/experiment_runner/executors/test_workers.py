@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from experiment_runner.executors.job import Job, Lost, Recorded, Report
-from experiment_runner.executors.players import BOTH, Placement
+from experiment_runner.executors.settings import BOTH, Placement, RunConfig
 from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
@@ -14,7 +14,7 @@ def test_worker_that_is_stopped_ends_an_episode_and_reports_a_checkpoint_after_i
     reports: list[Report] = []
     stopped = False
     with LocalExecutor(1) as executor:
-        executor.start(Job(spec, Placement(inside=BOTH)))
+        executor.start(Job(spec, RunConfig(Placement(BOTH))))
         while not (reports and isinstance(reports[-1], Lost)):
             reports += [report for _, report in executor.receive(60)]
             if reports and not stopped:

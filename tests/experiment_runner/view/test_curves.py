@@ -13,7 +13,7 @@ import pytest
 from experiment_runner.analysis.curves import of_metric, over_episodes
 from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import bootstrap_rng, estimate, mean, running_mean
-from experiment_runner.executors.opening import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, TrialSpec
 from experiment_runner.report.overview import as_object
@@ -94,7 +94,7 @@ def test_a_curve_is_that_of_glue_plot(shown: tuple[Inside, Path, str]) -> None:
 def test_each_environment_has_a_drawing_and_an_agent_one_look(tmp_path: Path) -> None:
     agents, environments = (tuple(RoleSweep(name) for name in names) for names in ("ab", "xy"))
     plan = Plan(episodes=20, environments=environments, agents=agents)
-    with create_run(tmp_path / "run", plan) as store:
+    with open_run(tmp_path / "run", plan) as store:
         for spec in plan.expand():
             for episode in range(1, 21):
                 store.record(spec.id, EpisodeResult(episode, 1.0 * episode, 1, True, 0.0))
@@ -109,7 +109,7 @@ def test_each_environment_has_a_drawing_and_an_agent_one_look(tmp_path: Path) ->
 
 
 def test_the_page_begins_with_the_run_or_the_standings_that_it_is_asked_for(tmp_path: Path) -> None:
-    with create_run(tmp_path / "run", Plan(episodes=1)) as store:
+    with open_run(tmp_path / "run", Plan(episodes=1)) as store:
         assert address_of([tmp_path / "run"]) == f"#/run/{run_id(store.directory)}"
         (store.directory / COMPETITION_FILE).touch()
         assert address_of([tmp_path / "run"]) == f"#/standings/{run_id(store.directory)}"

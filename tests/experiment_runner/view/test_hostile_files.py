@@ -20,7 +20,7 @@ from env_server.replay.episodes import open_recording, recorded_moments
 from experiment_runner.competition.board.standings import standings
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.verify import verify
-from experiment_runner.executors.opening import create_run, resume_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_text, overview
 from experiment_runner.store.export import episode_table
@@ -120,17 +120,16 @@ def merge_run(directory: Path) -> None:
 
 
 def resume(directory: Path) -> None:
-    store, _ = resume_run(directory, PLAN)
-    store.close()
+    open_run(directory, PLAN).close()
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of two runs, to be copied."""
     folder = tmp_path_factory.mktemp("made")
-    with create_run(folder / "run", PLAN) as store:
+    with open_run(folder / "run", PLAN) as store:
         store.record(store.trials()[0].spec.id, EpisodeResult(1, 1.0, 2, True, 0.1))
-    create_run(folder / "sound", PLAN).close()
+    open_run(folder / "sound", PLAN).close()
     return folder
 
 

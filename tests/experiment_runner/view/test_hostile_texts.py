@@ -17,7 +17,7 @@ from experiment_runner.analysis.settings import collect
 from experiment_runner.competition.board.forms import as_csv
 from experiment_runner.competition.board.forms import as_text as board_text
 from experiment_runner.competition.board.standings import Forfeit, Standing, Standings
-from experiment_runner.executors.opening import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.comparing import COLUMNS, compared
 from experiment_runner.report.overview import Overview, as_object, as_text, overview
@@ -39,7 +39,7 @@ PLAN = Plan(episodes=1, environments=(RoleSweep("mines"),), agents=(RoleSweep("s
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which every text is hostile: of the folder, players, trials, failures, events, answers."""
     directory = tmp_path_factory.mktemp("runs") / HOSTILE.replace("/", "")
-    with create_run(directory, PLAN) as store:
+    with open_run(directory, PLAN) as store:
         trial = store.trials()[0].spec.id
         read = (Reading(1, {"total reward": 1.0, "m": 1.0}),)
         store.record_all([(trial, EpisodeResult(1, 1.0, 1, True, 0.1), None, (), read)])

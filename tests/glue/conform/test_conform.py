@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from env_server.toys import MinesEnvironment
+from glue.cli.conform import conform as command
 from glue.conform.clients.judge import judge, judge_scripts, rules_of
 from glue.conform.report import line, reached, summary
 from glue.conform.rules import Outcome, Tier
@@ -19,7 +20,7 @@ from glue.testing import HubRule
 from glue.types import Action, Observation
 from glue.wire.messages import THREE_ROLES, Role
 from tests.forked import run
-from tests.glue.conform.forked import QUIET, WAIT, served, wrong
+from tests.glue.conform.forked import QUIET, WAIT, mirror, served, wrong
 from tests.glue.conform.wrong import FAULTS
 from tests.pages import DOCS, anchors
 
@@ -110,7 +111,7 @@ def test_the_mirror_is_told_by_its_declared_name_or_by_the_option_and_not_by_its
     expected = {"": Outcome.NOT_JUDGED, "a mirror": Outcome.NOT_JUDGED, "mirror": Outcome.FAILED}
     for name, outcome in expected.items():
         start = served(Echo(), name)
-        _, ints = judge(Role.AGENT, start, wait=WAIT, only={"calls", "ints"})
+        (ints,) = judge(Role.AGENT, start, wait=WAIT, only={"ints"})
         assert ints.outcome is outcome, name
     (ints,) = judge(Role.AGENT, served(Echo()), mirror=True, wait=WAIT, only={"ints"})
     assert ints.outcome is Outcome.FAILED
@@ -141,19 +142,24 @@ def conform(*arguments: str) -> subprocess.CompletedProcess[str]:
     return run("glue-conform", *arguments, cwd=ROOT)
 
 
-def test_the_command_prints_json_and_writes_a_scorecard(tmp_path: Path) -> None:
+def test_the_command_prints_json_and_writes_a_scorecard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     card = tmp_path / "card.md"
-    client = (sys.executable, "-m", "glue.testing.mirror", "agent")
+    client = ("./mirror", "agent")
+    # The command's clients, forked: each would start for half a second otherwise, and there are fifteen.
+    monkeypatch.setattr("glue.cli.conform.starter", {client: mirror(Role.AGENT, False)}.__getitem__)
     options = ("--tier", "plays", "--transport", "tcp", "--wait", "20", "--json", "--scorecard", str(card))
-    done = conform("agent", *options, "--", *client)
+    status = command.main(["agent", *options, "--", *client], standalone_mode=False)
 
-    found = json.loads(done.stdout)
+    printed = capsys.readouterr()
+    found = json.loads(printed.out)
     plays = {rule.name for rule in rules_of(Role.AGENT, Tier.PLAYS)}
-    assert (done.returncode, found["tiers"]) == (0, {"plays": True})
+    assert (status, found["command"], found["tiers"]) == (0, [*client], {"plays": True})
     assert {rule["name"] for rule in found["rules"] if rule["outcome"] == "passed"} == plays
     assert all(f"| [{name}](docs/protocol-reference.md#" in card.read_text() for name in plays)
     assert "| plays | yes |" in card.read_text()
-    assert f"wrote {card}" in done.stderr
+    assert f"wrote {card}" in printed.err
 
 
 def test_a_client_that_does_not_connect_is_said_to() -> None:
