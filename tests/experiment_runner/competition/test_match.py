@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from env_server.toys import MinesEnvironment
-from experiment_runner.competition.match import Forfeited, Played
+from experiment_runner.competition.match import Forfeited, Piece
 from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.starters import Launch
 from experiment_runner.competition.trials import agent_seed, draw, trials
@@ -39,7 +39,7 @@ def forfeit(reports: list[Any]) -> str:
 def episodes(reports: list[Any], folder: Path) -> list[Episode]:
     """Return the episodes in the record that a match has sent."""
     path = folder / "record.traj"
-    path.write_bytes(b"".join(report.piece for report in reports if isinstance(report, Played)))
+    path.write_bytes(b"".join(report.data for report in reports if isinstance(report, Piece)))
     return list(TrajectoryReader(path))
 
 
