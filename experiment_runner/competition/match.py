@@ -79,10 +79,10 @@ class Match:
     gate: Gate | None = None
 
 
-class Played(NamedTuple):
-    """A piece of the record."""
+class Piece(NamedTuple):
+    """The next bytes of the record."""
 
-    piece: bytes
+    data: bytes
 
 
 class Forfeited(NamedTuple):
@@ -91,7 +91,7 @@ class Forfeited(NamedTuple):
     reason: str
 
 
-Report = Recorded | Played | Forfeited | Ended | Lost
+Report = Recorded | Piece | Forfeited | Ended | Lost
 
 
 class _Unfinished(ExperimentError):
@@ -136,7 +136,7 @@ class _Playing:
     def __init__(self, match: Match, send: Callable[[Report], None], clock: Callable[[], float]) -> None:
         self._match = match
         self._clock = clock
-        self._record = ActionWriter(lambda piece: send(Played(piece)))
+        self._record = ActionWriter(lambda data: send(Piece(data)))
         self._environment = RecordedEnvironment(
             made_for(match.spec), self._record, match.spec, lambda result: send(Recorded(result, None))
         )
