@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final
 
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
-from experiment_runner.executors.interrupts import GRACE_SECONDS, Interrupts
+from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import (
     BEGINNING,
     AtHub,
@@ -72,7 +72,7 @@ def run_trials(
     executor = _executor(config)
     try:
         # Workers defer Ctrl-C themselves, so wait a little longer for their reports.
-        grace = GRACE_SECONDS if executor is None else GRACE_SECONDS + 0.3
+        grace = config.grace if executor is None else config.grace + 0.3
         trial_ids = [trial.trial_id for trial in remaining(store)]
         with RunCollector(store, config, reporter) as collector, Interrupts(grace) as interrupts:
             if executor is None:
@@ -93,7 +93,7 @@ def run_trials(
     return sum(trial.failure is not None for trial in store.trials())
 
 
-def _executor(config: RunConfig) -> Executor[Job, Report] | None:
+def _executor(config: RunConfig) -> Executor | None:
     if config.backend is Backend.RAY:
         return RayExecutor(config.address, config.workers)
     return None if config.workers is None else LocalExecutor(config.workers)

@@ -86,11 +86,11 @@ def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Ran
 
 def kill_experiment(experiment: subprocess.Popen[str]) -> None:
     """Kill the experiment, and check that no process outlives it."""
-    everybody = children(experiment.pid)
+    processes = children(experiment.pid)
     experiment.kill()
     experiment.communicate()
     assert experiment.returncode == -signal.SIGKILL, "finished too early"
-    wait_until(lambda: not any(map(alive, everybody)), "the end of its processes")
+    wait_until(lambda: not any(map(alive, processes)), "the end of its processes")
 
 
 def wait_for_an_episode(experiment: subprocess.Popen[str], directory: Path) -> None:

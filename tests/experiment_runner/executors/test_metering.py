@@ -84,7 +84,7 @@ def test_readings_are_due_at_the_same_steps_however_an_episode_is_run(
 
         def record(glue: Experiment, limit: int, meter: Meter) -> bool:
             recorder = Recorder(writer, spec, glue)
-            recorder.begin("", goes_on=False)
+            recorder.begin("", continued=False)
             return recorder.rl_episode(limit, meter)
 
         plays: Sequence[tuple[type[LocalExperiment], Play | None]] = (

@@ -173,7 +173,7 @@ def test_episodes_that_count_are_recorded_once_each_whatever_is_lost(
     )
 
 
-def test_environment_goes_on_in_the_recording_when_an_agent_is_replaced() -> None:
+def test_environment_continues_in_the_recording_when_an_agent_is_replaced() -> None:
     kept = run_recorded(
         "run.traj", LosesAgents({Kind.RL_STEP: {100}, Kind.RL_START: {20}}, Forgetful, mines())
     )
@@ -195,7 +195,7 @@ def test_recording_of_an_environment_that_cannot_be_saved_has_no_state_after_a_l
     assert {episode.run.state for episode in found} == {b""}
 
 
-def test_trial_that_goes_on_is_recorded_from_its_checkpoint() -> None:
+def test_trial_that_continues_is_recorded_from_its_checkpoint() -> None:
     whole = run_recorded("whole.traj", local(SarsaAgent(), mines()))
     start = Start(10, whole.checkpoints[10])
     kept = run_recorded("rest.traj", local(SarsaAgent(), mines()), start)

@@ -118,7 +118,7 @@ def budgeted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def hand_out(store: Store, pool: Unreliable, config: RunConfig = CONFIG) -> None:
-    Dispatcher[Job, Report](pool, collector(store, config=config), Interrupts()).run(
+    Dispatcher(pool, collector(store, config=config), Interrupts()).run(
         trial.trial_id for trial in remaining(store)
     )
 
@@ -196,7 +196,7 @@ def test_an_interrupted_run_says_how_to_continue_as_it_was_begun(tmp_path: Path)
     assert command in reporter.said[-1]
 
 
-def test_episodes_are_stored_together_before_anybody_hears_of_them(tmp_path: Path) -> None:
+def test_episodes_are_stored_together_before_they_are_reported(tmp_path: Path) -> None:
     heard: list[int] = []
 
     class Listening(Silent):

@@ -136,7 +136,7 @@ def test_every_episode_is_recorded_with_the_checkpoints_that_are_due() -> None:
 
 
 @pytest.mark.parametrize("after", [10, 20])
-def test_trial_goes_on_from_a_checkpoint_as_if_never_interrupted(after: int) -> None:
+def test_trial_continues_from_a_checkpoint_as_if_never_interrupted(after: int) -> None:
     whole = undisturbed(every=10)
     kept = play(local(SarsaAgent(), mines()), 10, start=Start(after, whole.checkpoints[after]))
     assert kept.numbers == whole.numbers[after:]
@@ -172,7 +172,7 @@ class Forgetful(RandomAgent):
     agent_save = agent_load = None  # type: ignore[assignment]
 
 
-def test_player_that_cannot_save_is_replaced_and_the_trial_goes_on() -> None:
+def test_player_that_cannot_save_is_replaced_and_the_trial_continues() -> None:
     kept = play(Lossy({Kind.RL_EPISODE: {4}}, Forgetful), 10)
     assert len(kept.results) == SPEC.episodes
     assert kept.voids == [4]
