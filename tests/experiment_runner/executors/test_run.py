@@ -14,7 +14,7 @@ from experiment_runner.cli.carrying_out import resume_command
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Job, Joined, Line, Lost, Recorded, Report
-from experiment_runner.executors.opening import OtherRun, open_run, remaining
+from experiment_runner.executors.opening import open_run, remaining
 from experiment_runner.executors.run import RunCollector, run_trials
 from experiment_runner.executors.settings import BOTH, HubOptions, Placement, RunConfig
 from experiment_runner.executors.trial import run_job
@@ -245,11 +245,6 @@ def test_a_larger_budget_extends_a_run_to_the_same_results(budgeted: Path, tmp_p
     with open_run(tmp_path / "run", STEPS) as store:
         assert run_trials(store, CONFIG, Silent()) == 0
     assert contents(tmp_path / "run") == contents(budgeted)
-
-
-def test_a_budget_does_not_turn_into_a_number_of_episodes(budgeted: Path) -> None:
-    with pytest.raises(OtherRun):
-        open_run(budgeted, PLAN)
 
 
 KEPT = {"mean TD error": Keep(3, averaged=True), "epsilon": Keep(2)}
