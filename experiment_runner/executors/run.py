@@ -53,7 +53,7 @@ def run_trials(
     """Run the unfinished trials of a run; return the number of all its trials that have failed.
 
     A failure is recorded with its reason, and the other trials continue. After Ctrl-C, running episodes have
-    half a second to end, and are stored with a checkpoint.
+    `config.grace` seconds to end, and are stored with a checkpoint.
 
     Args:
         store: the store of the run.
@@ -67,7 +67,6 @@ def run_trials(
         ExperimentError: the workers or the cluster cannot be started.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
-
     reporter.start(store.trials())
     executor = _executor(config)
     try:
