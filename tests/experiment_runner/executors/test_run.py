@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.settings import collect
-from experiment_runner.cli.carrying_out import resume_command
+from experiment_runner.cli.run_plan import resume_command
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Job, Joined, Line, Lost, Recorded, Report
