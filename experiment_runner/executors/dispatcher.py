@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterable
-from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from contextlib import AbstractContextManager
+from typing import Any, Final, Protocol
 
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended, Lost
@@ -19,7 +19,7 @@ _MAX_LOSSES: Final = 3
 _WAIT_SECONDS: Final = 0.1
 
 
-class Executor(Protocol):
+class Executor(AbstractContextManager["Executor"], Protocol):
     """Interface that runs jobs, which have the trial as `spec`. Leaving its context ends them all.
 
     Attributes:
@@ -39,12 +39,6 @@ class Executor(Protocol):
     def stop(self) -> None:
         """Ask all jobs to end soon: the run is interrupted."""
         ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 class Collector(Protocol):

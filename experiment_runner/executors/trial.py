@@ -263,8 +263,7 @@ class _Trial:
         try:
             self._glue.rl_cleanup()
         except (GlueError, SystemExit) as error:
-            why = str(error) if isinstance(error, GlueError) else f"SystemExit: {error}"
-            self._report("cleanup", f"all episodes are stored, but cleaning up failed: {why}")
+            self._report("cleanup", f"all episodes are stored, but cleaning up failed: {described(error)}")
 
     def _replay(self) -> None:
         """Bring both players to the current state of this trial."""
