@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final
 
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
-from experiment_runner.executors.interrupts import GRACE_SECONDS, Interrupts
+from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import (
     BEGINNING,
     AtHub,
@@ -54,7 +54,7 @@ def run_trials(
     """Run the unfinished trials of a run; return the number of all its trials that have failed.
 
     A failure is recorded with its reason, and the other trials continue. After Ctrl-C, running episodes have
-    half a second to end, and are stored with a checkpoint.
+    `config.grace` seconds to end, and are stored with a checkpoint.
 
     Args:
         store: the store of the run.
@@ -68,12 +68,11 @@ def run_trials(
         ExperimentError: the workers or the cluster cannot be started.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
-
     reporter.start(store.trials())
     executor = _executor(config)
     try:
         # Workers defer Ctrl-C themselves, so wait a little longer for their reports.
-        grace = GRACE_SECONDS if executor is None else GRACE_SECONDS + 0.3
+        grace = config.grace if executor is None else config.grace + 0.3
         trial_ids = [trial.trial_id for trial in remaining(store)]
         with RunCollector(store, config, reporter) as collector, Interrupts(grace) as interrupts:
             if executor is None:
@@ -94,7 +93,7 @@ def run_trials(
     return sum(trial.failure is not None for trial in store.trials())
 
 
-def _executor(config: RunConfig) -> Executor[Job, Report] | None:
+def _executor(config: RunConfig) -> Executor | None:
     if config.backend is Backend.RAY:
         return RayExecutor(config.address, config.workers)
     return None if config.workers is None else LocalExecutor(config.workers)
