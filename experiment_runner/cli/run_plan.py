@@ -27,8 +27,8 @@ from experiment_runner.plan.plan import Plan, class_files
 from experiment_runner.report.overview import date
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.report.tables import counted, summarize, tabulate, terminal_width
-from experiment_runner.slurm import batch
-from experiment_runner.slurm.parts import divide, gather
+from experiment_runner.slurm import array
+from experiment_runner.slurm.array import divide, gather
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.layout import PARTS, clear, replace_flushed
 from experiment_runner.store.records import TUNED, UNSEEDED
@@ -260,10 +260,10 @@ def carry_out_array(
         ConfigError: SLURM is not installed, or an option is malformed.
         ExperimentError: the run has tasks in the queue, or SLURM refuses the job.
     """
-    if not batch.can_submit():
+    if not array.can_submit():
         raise ConfigError("--engine slurm submits with sbatch, which is not here: use a login node of SLURM")
-    batch.check_options(sbatch)
-    batch.check_folder(directory.absolute())
+    array.check_options(sbatch)
+    array.check_folder(directory.absolute())
     if again:
         with naming_out(""):
             clear(directory)
@@ -277,19 +277,19 @@ def carry_out_array(
             say(f"{directory} is already finished: nothing was submitted")
             return 0
         note_players_without_seed(store, plan, say)
-        tasks = divide(store, batch.MAX_TASKS)
+        tasks = divide(store, array.MAX_TASKS)
         options = [*resume_options(store, config), f"--checkpoint-every={config.checkpoint_every}"]
         if config.placement.in_process:
             options.append("--in-process")
         command = [*_PROGRAM, "experiment", *options, "--resume"]
-        replace_flushed(parts / _SCRIPT, batch.array_script(parts, command, tasks, config.workers, sbatch))
-        job = batch.submit([str(parts / _SCRIPT)])
+        replace_flushed(parts / _SCRIPT, array.array_script(parts, command, tasks, config.workers, sbatch))
+        job = array.submit([str(parts / _SCRIPT)])
         replace_flushed(parts / _JOB, job)
     what = f"{counted(left, 'trial')} in {counted(tasks, 'task')}"
     say(f"submitted job {job}: {what}, with output in {parts}")
     gathering = [*_PROGRAM, "results", "gather", str(directory.absolute())]
     try:
-        batch.submit(batch.gathering_job(job, parts, gathering, sbatch))
+        array.submit(array.gathering_job(job, parts, gathering, sbatch))
     except ExperimentError as error:
         raise ExperimentError(f"{error}; when job {job} is over: glue-results gather {directory}") from error
     say(f"when the last task is over, the results are in {directory}")
@@ -313,7 +313,7 @@ def _gather(directory: Path) -> tuple[int, int]:
     job = directory / PARTS / _JOB
     with reported(f"cannot read {job}"):
         number = read_text(job).strip() if job.exists() else ""
-    if number and batch.is_queued(number):
+    if number and array.is_queued(number):
         raise ExperimentError(
             f"job {number} has tasks of {directory} that wait or run: see squeue --jobs={number}, "
             f"and end it with scancel {number} if it is not wanted"

@@ -132,8 +132,8 @@ def test_finished_run_says_so_and_is_extended_or_replaced() -> None:
 def test_run_begun_with_an_older_version_of_a_file_is_not_continued() -> None:
     Path("constants.py").write_text("SPEED = 1")
     Path("mine.py").write_text("import constants\nfrom agents.baselines import RandomAgent as Mine")
-    short = ("--episodes", "1", "--max-steps", "9", "--in-process")
-    run = ("--env", "mines", "--agent", "mine.py:Mine", *short, "--out", "run")
+    few = ("--episodes", "1", "--max-steps", "9", "--in-process")
+    run = ("--env", "mines", "--agent", "mine.py:Mine", *few, "--out", "run")
     started = [invoke_anew(*run)]
     Path("constants.py").write_text("SPEED = 2")
     resumed = ("--resume", "run", "--trust", "--in-process")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.executors.job import Start
-from experiment_runner.executors.metering import Meter
+from experiment_runner.executors.recording import Meter
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import Checkpoint, EpisodeResult, Reading
