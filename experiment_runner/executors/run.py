@@ -32,7 +32,7 @@ from experiment_runner.executors.trial import run_job
 from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
-from experiment_runner.report.progress import Reporter
+from experiment_runner.report.progress import Progress
 from experiment_runner.store.meetings import LiveSession, Meetings
 from experiment_runner.store.records import OF_PLAYERS, UNSEEDED
 from experiment_runner.store.store import Store
@@ -46,7 +46,7 @@ _COMMIT_SECONDS: Final = 0.05
 def run_trials(
     store: Store,
     config: RunConfig,
-    reporter: Reporter,
+    reporter: Progress,
     recording: TrajectoryWriter | None = None,
     *,
     again: str = "",
@@ -111,7 +111,7 @@ class RunCollector(Closing):
         reporter: shows progress.
     """
 
-    def __init__(self, store: Store, config: RunConfig, reporter: Reporter) -> None:
+    def __init__(self, store: Store, config: RunConfig, reporter: Progress) -> None:
         self._store = store
         self._config = config
         self._reporter = reporter
