@@ -10,7 +10,7 @@ from types import ModuleType
 import pytest
 
 from env_server.mario.pictures import digest_of
-from experiment_runner.cli.planning import make_plan, role_sweeps
+from experiment_runner.cli.make_plan import make_plan, role_sweeps
 from experiment_runner.executors.opening import OtherRun, Remaining, open_run, remaining
 from experiment_runner.plan.file import dump_plan, load_plan
 from experiment_runner.plan.plan import Plan, RoleSweep
