@@ -52,6 +52,7 @@ def test_experiments(tmp_path: Path) -> None:
         ("first-experiment", "compare.png"),
         ("first-competition", "board.html"),
         ("notebooks", "."),
+        ("mario", "runs/levels/results.sqlite"),
     ],
 )
 def test_tutorial(page: str, made: str, tmp_path: Path) -> None:
