@@ -20,6 +20,7 @@ import pytest
 from hypothesis import settings
 
 FOLDERS: Final = {
+    "agents/language/test_mcp.py": "language",
     "agents/soar": "soar",
     "agents/test_ppo.py": "studies",
     "clients": "clients",
