@@ -84,6 +84,13 @@ def libraries(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
+def openenv(session: nox.Session) -> None:
+    """Play with OpenEnv's own server and client, whose packages exclude those of other stages."""
+    session.install("--editable", ".[openenv]", *TESTING)
+    session.run("pytest", "--stage=openenv", "tests/glue/openenv", *session.posargs)
+
+
+@nox.session(default=False)
 def repository(session: nox.Session) -> None:
     """Review the repository's metadata, workflows and citation."""
     session.install("cffconvert", "sp-repo-review[cli]", "zizmor")

@@ -13,7 +13,7 @@ from typing import Annotated, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents.keys import extend
+from agents.policy import extend
 from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, Word, layout
 from glue.errors import SaveError

@@ -89,7 +89,7 @@ def _hub() -> Iterator[str]:
     command = [
         sys.executable,
         "-c",
-        "from glue.cli.hub import main; main()",
+        "from glue_rl.commands import hub; hub()",
         "--bind",
         "tcp://127.0.0.1:*",
     ]

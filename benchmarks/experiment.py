@@ -14,16 +14,16 @@ from typing import Final, NamedTuple
 
 from benchmarks.hub import three_processes
 from benchmarks.measure import REPEATS, Table, count, ratio
-from experiment_runner.meeting import player_command
+from experiment_runner.executors import player_command
 from experiment_runner.store.results import Results
 from glue.wire.messages import Role
 
 _RUNS: Final = (("random", 100, REPEATS), ("hierarchical", 300, 1), ("random", 5000, 1))
 """Agent, episodes and repeats; long runs are made only once. The second is that of `make demo`."""
 
-_COMMAND: Final = ("-m", "experiment_runner.cli.experiment", "--env", "mario", "--json")
+_COMMAND: Final = ("-m", "glue_rl", "experiment", "--env", "mario", "--json")
 _PROGRAMS: Final = {
-    "experiment and hub": ("experiment_runner.cli.experiment",),
+    "experiment and hub": ("glue_rl", "experiment"),
     "environment": (player_command.MODULE, str(Role.ENVIRONMENT)),
     "agent": (player_command.MODULE, str(Role.AGENT)),
 }

@@ -15,7 +15,9 @@ import numpy as np
 from benchmarks.measure import Table, count, rate, rates, ratio
 from benchmarks.others import other_environments
 from env_server.mario.environment import InfiniteMario
-from env_server.mario.many.batch import MarioBatch as Games
+from env_server.mario.many.games import DISABLED, Games
+from env_server.mario.many.views import BODY, View
+from env_server.mario.observation import BODY_SIZE
 from glue import (
     Action,
     Agent,
@@ -44,6 +46,7 @@ from glue.plugins.batched import make_batch
 from glue.types import Step
 
 _ID = "env_server.gym:glue/InfiniteMario-v0"
+_CHOICES = np.array([3, 2, 2])
 _STEPS = 64_000
 _SEED = 3
 _INTS, _DOUBLES, _CHARS = 23, 44, 352  # an observation of Mario with ten sprites
@@ -74,16 +77,17 @@ def _play(step: Callable[[Any], Any], actions: list[Any], calls: int) -> None:
 
 
 def _bare(games: int) -> Callable[[], object]:
-    batch = Games([InfiniteMario(level_seed=seed).parameters for seed in range(games)], threads=1)
-    batch.start()
-    actions = [one - [1, 0, 0] for one in _actions(games)]
+    tasks = [InfiniteMario(level_seed=seed).parameters for seed in range(games)]
+    batch = Games(tasks, View(BODY, BODY_SIZE, 0), DISABLED)
+    batch.reset()
 
     def step(action: Any) -> None:
-        _, ended = batch.step(action)
+        batch.step(action, _CHOICES)
+        ended = batch.lanes["terminated"]
         if ended.any():
-            batch.start(ended)
+            batch.reset(ended)
 
-    return partial(_play, step, actions, _STEPS // games)
+    return partial(_play, step, _actions(games), _STEPS // games)
 
 
 def _many(gymnasium: Any, games: int, **options: Any) -> Callable[[], object]:

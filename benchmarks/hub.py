@@ -17,10 +17,9 @@ from glue.client.experiment import connect_over
 from glue.client.libzmq import new_pair
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
-from glue.hub.config import Bind, HubConfig
+from glue.hub.config import Bind, HubConfig, Keys, Permit
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
-from glue.hub.keys import Keys, Permit
 from glue.keys.certificates import write_pair
 from glue.wire.messages import Role
 

@@ -14,7 +14,7 @@ from glue.client.experiment import connect
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
-from tests.system.legacy.legacy_client import Connection, Experiment, play_agent, play_environment
+from tests.system.legacy.legacy_client import Connection, OriginalExperiment, play
 
 _STEPS = 5000
 _SESSION = "0"
@@ -70,9 +70,9 @@ def _originals(size: str) -> Iterator[Callable[[], float]]:
 @contextmanager
 def _all_original(size: str) -> Iterator[Callable[[], float]]:
     with _gateway(size) as (_, port):
-        glue = Experiment(Connection(port))
-        glue.init()
-        yield lambda: _per_second(lambda: glue.episode(_STEPS))
+        glue = OriginalExperiment(Connection(port))
+        glue.rl_init()
+        yield lambda: _per_second(lambda: glue.rl_episode(_STEPS))
         glue.close()
 
 
@@ -96,11 +96,7 @@ def _per_second(episode: Callable[[], object]) -> float:
 
 
 def _main(port: str, size: str, role: str) -> None:
-    connection = Connection(int(port))
-    if role == "agent":
-        play_agent(Still(), connection)
-    else:
-        play_environment(Walk(SIZES[size]), connection)
+    play(Still() if role == "agent" else Walk(SIZES[size]), Connection(int(port)))
 
 
 if __name__ == "__main__":

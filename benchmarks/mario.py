@@ -16,7 +16,8 @@ import numpy.typing as npt
 from benchmarks.measure import Table, count, medians, ratio
 from env_server.mario import model
 from env_server.mario.environment import InfiniteMario
-from env_server.mario.many.batch import MarioBatch
+from env_server.mario.many.games import DISABLED, Games
+from env_server.mario.many.views import BODY, View
 from glue.compiled.jit import entry
 from glue.compiled.records import Array
 from glue.engine.local import local
@@ -27,6 +28,7 @@ from glue.types import Action, Observation
 _LEVEL_SEED = 3
 _BUTTONS = [(1, int(i % 7 < 4), 1) for i in range(7)]
 _ACTIONS = [Action(ints=buttons) for buttons in _BUTTONS]
+_CHOICES = np.array([3, 2, 2])
 _STEPS = 50_000
 _PATH = 12  # steps
 _WINDOW = 72  # columns, as in the planner's search
@@ -104,17 +106,19 @@ def _through_glue() -> float:
 
 def _batched(games: int) -> Callable[[], float]:
     def measure() -> float:
-        with MarioBatch([InfiniteMario(level_seed=_LEVEL_SEED).parameters] * games) as batch:
-            batch.start()
-            actions = [np.tile(buttons, (games, 1)) for buttons in _BUTTONS]
+        tasks = [InfiniteMario(level_seed=_LEVEL_SEED).parameters] * games
+        view, threads = View(BODY, model.BODY_SIZE, 0), 1 if games < 1024 else 2
+        with Games(tasks, view, DISABLED, threads=threads) as batch:
+            batch.reset()
+            actions = [np.tile((2, *buttons[1:]), (games, 1)) for buttons in _BUTTONS]
             steps = 0
             began = time.perf_counter()
             while steps < _STEPS:
                 for action in cycle(actions):
                     steps += games
-                    ended = batch.step(action)[1]
-                    if ended[0]:  # and so have all, as they do the same
-                        batch.start()
+                    batch.step(action, _CHOICES)
+                    if batch.lanes["terminated"][0]:  # and so have all, as they do the same
+                        batch.reset()
                         break
             return steps / (time.perf_counter() - began)
 

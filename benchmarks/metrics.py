@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.measure import Table, count, interleaved
-from experiment_runner.executors.run import RunConfig, run_trials
-from experiment_runner.meeting.players import BOTH, Meeting
+from experiment_runner.executors.run import run_trials
+from experiment_runner.executors.settings import BOTH, Placement, RunConfig
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.progress import Progress
@@ -43,7 +43,7 @@ def run() -> list[Table]:
     with tempfile.TemporaryDirectory() as folder:
         learned = Path(folder, "learned")
         with Store.create(learned, _PLAN.expand(), {}) as store:
-            run_trials(store, RunConfig(Meeting(inside=BOTH)), Progress(io.StringIO()))
+            run_trials(store, RunConfig(Placement(inside=BOTH)), Progress(io.StringIO()))
         measures: list[Callable[[], float]] = [
             partial(_seconds, learned, Path(folder, "run"), metrics) for metrics in _KINDS.values()
         ]
@@ -72,7 +72,7 @@ def _seconds(learned: Path, directory: Path, metrics: MetricsPlan | None) -> flo
     with Store.open(directory) as store:
         store.extend(replace(_PLAN, episodes=_LEARNED + _MEASURED).expand())
         began = time.process_time()
-        run_trials(store, RunConfig(Meeting(inside=BOTH), metrics=metrics), Progress(io.StringIO()))
+        run_trials(store, RunConfig(Placement(inside=BOTH), metrics=metrics), Progress(io.StringIO()))
         took = time.process_time() - began
     shutil.rmtree(directory)
     return took

@@ -69,10 +69,10 @@ def _resident() -> int:
 def _many_sessions(number: int) -> Iterator[Measure]:
     with ExitStack() as stack:
         hub = stack.enter_context(listening("tcp"))
-        url, seats = hub.endpoints[0], hub.config.max_seats
+        url, most = hub.endpoints[0], hub.config.max_joined
         pids = [
-            stack.enter_context(serving(role, _SMALL, url, range(start, min(start + seats, number))))
-            for start in range(0, number, seats)
+            stack.enter_context(serving(role, _SMALL, url, range(start, min(start + most, number))))
+            for start in range(0, number, most)
             for role in ("environment", "agent")
         ]
         glues = [stack.enter_context(connect(url, str(i))) for i in range(number)]

@@ -90,7 +90,7 @@ def _game() -> Table:
 def _running(*options: str) -> Iterator[Path]:
     """Yield a folder with a run in progress."""
     with tempfile.TemporaryDirectory() as made:
-        command = [sys.executable, "-m", "experiment_runner.cli.experiment", *_COMMAND, *options]
+        command = [sys.executable, "-m", "glue_rl", "experiment", *_COMMAND, *options]
         quiet = subprocess.DEVNULL
         with subprocess.Popen(command, cwd=made, stdout=quiet, stderr=quiet) as process:
             try:
@@ -136,7 +136,7 @@ def _steps(directory: Path) -> int:
 @contextmanager
 def _served(folder: Path) -> Iterator[tuple[int, str]]:
     """Start a `glue-view`; yield its port, and the cookie that opens it."""
-    command = [sys.executable, "-m", "experiment_runner.cli.view", "--port", "0", "--no-browser"]
+    command = [sys.executable, "-m", "glue_rl", "view", "--port", "0", "--no-browser"]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

@@ -1,80 +1,35 @@
-"""Where every command begins; see `glue.cli.entry`."""
+"""Where every command begins: its entry point here is a name of the table; see `glue.cli.entry`."""
 
 from __future__ import annotations
 
 from glue.cli.entry import start
 
+TYPE_CHECKING = False  # not imported: see glue.cli.entry
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Final, NoReturn
 
-def agent() -> None:
-    """Run `glue-agent`."""
-    start("agents.cli.agent")
-
-
-def compete() -> None:
-    """Run `glue-compete`."""
-    start("experiment_runner.cli.compete")
-
-
-def compile_players() -> None:
-    """Run `glue-compile`."""
-    start("glue.cli.compile")
-
-
-def conform() -> None:
-    """Run `glue-conform`."""
-    start("glue.cli.conform")
-
-
-def environment() -> None:
-    """Run `glue-env`."""
-    start("env_server.cli.environment")
-
-
-def experiment() -> None:
-    """Run `glue-experiment`."""
-    start("experiment_runner.cli.experiment")
+COMMANDS: Final = {
+    "agent": "agents.cli.agent",
+    "compete": "experiment_runner.cli.compete",
+    "compile_players": "glue.cli.compile",
+    "conform": "glue.cli.conform",
+    "environment": "env_server.cli.environment",
+    "experiment": "experiment_runner.cli.experiment",
+    "generalise": "experiment_runner.cli.generalise",
+    "hub": "glue.cli.hub",
+    "keys": "glue.cli.keys",
+    "paper": "experiment_runner.cli.paper",
+    "plot": "experiment_runner.cli.plot",
+    "replay": "env_server.cli.replay",
+    "results": "experiment_runner.cli.results",
+    "view": "experiment_runner.cli.view",
+    "watch": "experiment_runner.cli.watch",
+}
+"""The module in which each command is defined, under the same name."""
 
 
-def generalise() -> None:
-    """Run `glue-generalise`."""
-    start("experiment_runner.cli.generalise")
-
-
-def hub() -> None:
-    """Run `glue-hub`."""
-    start("glue.cli.hub")
-
-
-def keys() -> None:
-    """Run `glue-keys`."""
-    start("glue.cli.keys")
-
-
-def paper() -> None:
-    """Run `glue-paper`."""
-    start("experiment_runner.cli.paper")
-
-
-def plot() -> None:
-    """Run `glue-plot`."""
-    start("experiment_runner.cli.plot")
-
-
-def replay() -> None:
-    """Run `glue-replay`."""
-    start("env_server.cli.replay")
-
-
-def results() -> None:
-    """Run `glue-results`."""
-    start("experiment_runner.cli.results")
-
-
-def view() -> None:
-    """Run `glue-view`."""
-    start("experiment_runner.cli.view")
-
-
-def watch() -> None:
-    """Run `glue-watch`."""
-    start("experiment_runner.cli.watch")
+def __getattr__(name: str) -> Callable[[], NoReturn]:
+    if name not in COMMANDS:
+        raise AttributeError(f"there is no command {name}")
+    return lambda: start(COMMANDS[name], name)

@@ -33,9 +33,9 @@ from env_server.mario.many.views import VIEWS
 from env_server.mario.observation import BODY_SIZE, encode
 from env_server.mario.sim.blocks import hit_block
 from env_server.mario.sim.step import tick
-from experiment_runner.study.generalisation.teacher import Teacher
 from glue.compiled.records import new
 from glue.types import Action, Observation
+from studies.teacher import Teacher
 
 AGENTS: Final[tuple[type[MarioAgent], ...]] = (
     *(HierarchicalAgent, TilesAgent, SampleAgent, BestAgent, NetworkAgent, PlannerAgent),

@@ -22,13 +22,13 @@ from hypothesis import settings
 FOLDERS: Final = {
     "agents/language/test_mcp.py": "language",
     "agents/soar": "soar",
-    "agents/test_ppo.py": "studies",
     "clients": "clients",
     "experiment_runner/loggers": "loggers",
     "experiment_runner/study": "studies",
     "experiment_runner/view/browser": "page",
     **{f"env_server/gym/test_{name}.py": "gymnasium" for name in ("pufferlib", "torchrl")},
     "glue/gym/test_sb3.py": "gymnasium",
+    "glue/openenv/test_openenv.py": "openenv",
     "jails": "containers",
     "model": "model",
     "package/test_coming_from.py": "coming_from",
@@ -36,6 +36,7 @@ FOLDERS: Final = {
     "package/test_names.py": "package",
     "package/test_notebooks.py": "notebooks",
     "package/test_site.py": "site",
+    "studies": "studies",
     "system/slurm": "slurm",
     "system/test_ray.py": "ray",
 }

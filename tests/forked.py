@@ -23,7 +23,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.meeting import children, warm
+from experiment_runner.processes import children, warm
 
 BIN: Final = Path(sys.executable).parent
 
@@ -45,7 +45,7 @@ SERVER.set_forkserver_preload(
         "experiment_runner.cli.compete",
         "experiment_runner.competition.organiser",
         "experiment_runner.executors.run",
-        "experiment_runner.meeting.over_hub",
+        "experiment_runner.executors.over_hub",
         "experiment_runner.executors.recording",
         "experiment_runner.report.tables",
         "experiment_runner.view.server",
@@ -128,7 +128,7 @@ def start(*command: str, cwd: Path, env: Mapping[str, str] | None = None, printe
 
 
 class _Child(subprocess.Popen[bytes]):
-    """A module in a process forked from this one, in place of `experiment_runner.meeting.watchdog.spawn`.
+    """A module in a process forked from this one, in place of `experiment_runner.processes.watchdog.spawn`.
 
     It keeps no descriptor of this process but the standard ones and `pass_fds`, and has signals as a new one.
     """
@@ -167,9 +167,9 @@ def _become(
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     warnings.filterwarnings("ignore", category=RuntimeWarning, module="runpy")  # it was imported already
-    sys.argv = [module, *arguments]
+    sys.argv = ["glue_rl", module, *arguments]
     try:
-        runpy.run_module(module, run_name="__main__", alter_sys=True)
+        runpy.run_module("glue_rl", run_name="__main__", alter_sys=True)
         code: object = 0
     except SystemExit as ending:
         code = ending.code

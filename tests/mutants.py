@@ -39,7 +39,7 @@ ALSO: Final = {
     "glue/hub": ("tests/simulation", "tests/system/test_faults.py", "tests/glue/testing"),
     "glue/legacy": ("tests/system/legacy",),
     "glue/wire": ("tests/glue/hub", "tests/glue/client", "tests/simulation"),
-    "experiment_runner/meeting": ("tests/experiment_runner/executors",),
+    "experiment_runner/processes": ("tests/experiment_runner/executors",),
     "experiment_runner/plan": ("tests/experiment_runner/executors",),
     "experiment_runner/store": ("tests/experiment_runner/executors",),
     "experiment_runner/analysis": ("tests/experiment_runner/report",),

@@ -11,16 +11,14 @@ from types import GeneratorType, MethodType
 from typing import Any, Final, NamedTuple
 
 from glue.hub import session
-from glue.hub.config import Bind, HubConfig
+from glue.hub.channel import Memory
+from glue.hub.config import Bind, HubConfig, Keys
 from glue.hub.io import channels
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
 from glue.hub.io.server import Hub
-from glue.hub.keys import Keys
-from glue.hub.memory import Memory
-from glue.hub.peer import Peer
-from glue.hub.session import Session
-from glue.hub.sessions import Switchboard
+from glue.hub.session import Peer, Session
+from glue.hub.sessions import Sessions
 from glue.legacy.peers import LegacyPeer
 from glue.legacy.pending import Pending
 from glue.wire.codec import FROM_HUB, TO_HUB
@@ -29,12 +27,12 @@ _OURS: Final = ("glue.hub", "glue.wire", "glue.engine", "glue.legacy")
 _CONTAINERS: Final = (dict, list, tuple, set, frozenset, deque, GeneratorType, MethodType)
 _PLAIN: Final = (bytes, bytearray, str, int, float)
 _SHARED: Final = (
-    *(type, Enum, Hub, HubConfig, Bind, Keys, Memory, Loop, Log, Switchboard, channels.Channels, Pending),
+    *(type, Enum, Hub, HubConfig, Bind, Keys, Memory, Loop, Log, Sessions, channels.Channels, Pending),
 )
 _VOCABULARIES: Final = (TO_HUB, FROM_HUB)
 """What all holders share; none of them weighs it."""
 
-_HOLDERS: Final = (Session, channels._Channel, LegacyPeer)
+_HOLDERS: Final = (Session, channels._SocketChannel, LegacyPeer)
 
 _SPARE: Final = 131_072
 """Bytes by which an account may exceed the truth, besides the allowances: a read that is half worked off."""
@@ -49,38 +47,40 @@ class Weight(NamedTuple):
 
 def weigh(hub: Hub) -> Weight:
     """Return the hub's account of its memory, and what everything that holds memory weighs together."""
-    board = hub.switchboard
-    peers = [peer for seats in board._seats.values() for peer in seats.values()]
-    return Weight(board.memory.total, size_of([*_holders(board, hub._channels._open), *peers]))
+    sessions = hub.sessions
+    peers = [peer for joined in sessions._joined.values() for peer in joined.values()]
+    return Weight(sessions.memory.total, size_of([*_holders(sessions, hub._channels._open), *peers]))
 
 
 def check(hub: Hub) -> None:
     """Raise AssertionError unless each holder's account is true: no less than it weighs, and hardly more."""
-    check_board(hub.switchboard, hub._channels._open)
+    check_sessions(hub.sessions, hub._channels._open)
 
 
-def check_board(board: Switchboard, connections: Iterable[Any] = ()) -> None:
-    """Do the same for a switchboard and the connections of its hub."""
-    account = board.memory.held
-    found = _holders(board, connections)
-    seats: dict[Any, list[Peer]] = {route: list(peers.values()) for route, peers in board._seats.items()}
-    peers = [peer for its in seats.values() for peer in its]
+def check_sessions(sessions: Sessions, connections: Iterable[Any] = ()) -> None:
+    """Do the same for the sessions and the connections of its hub."""
+    account = sessions.memory.accounts
+    found = _holders(sessions, connections)
+    joined: dict[Any, list[Peer]] = {
+        channel: list(peers.values()) for channel, peers in sessions._joined.items()
+    }
+    peers = [peer for its in joined.values() for peer in its]
     for holder in found:
-        its = seats.get(holder, [])
+        its = joined.get(holder, [])
         held, truth = account.get(holder, 0), size_of([holder, *its], [*found, *peers])
-        if isinstance(holder, channels._Channel) and holder.connection._glanced:
+        if isinstance(holder, channels._SocketChannel) and holder.connection._glanced:
             truth -= len(holder.connection._glanced)  # it has just been read, and is acted on at once
         assert truth <= held, f"{holder} weighs {truth} bytes and accounts for {held}"
-        spare = session._BASE if isinstance(holder, Session) else _SPARE + len(its) * channels._SEAT
+        spare = session._BASE if isinstance(holder, Session) else _SPARE + len(its) * channels._PEER
         assert held <= truth * 9 // 8 + spare, f"{holder} accounts for {held} bytes and weighs {truth}"
-    assert board.memory.total == sum(account.values())
+    assert sessions.memory.total == sum(account.values())
     gone = [holder for holder in account if holder not in found]
     assert not gone, f"the hub accounts for {gone}, which it does not have"
 
 
-def _holders(board: Switchboard, connections: Iterable[Any]) -> list[Any]:
+def _holders(sessions: Sessions, connections: Iterable[Any]) -> list[Any]:
     """Return everything that holds memory at a hub, whether it accounts for it or not."""
-    found = dict.fromkeys([*board._sessions.values(), *connections, *board._seats])
+    found = dict.fromkeys([*sessions._by_name.values(), *connections, *sessions._joined])
     return [holder for holder in found if isinstance(holder, _HOLDERS)]
 
 

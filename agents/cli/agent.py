@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from glue.cli.players import Extra, player_command
-from glue.cli.shared import run
 from glue.plugins.trained import load_trained
 from glue.wire.messages import Role
 
@@ -26,12 +25,3 @@ agent: click.Group = player_command(
         load_trained,
     ),
 )
-
-
-def main() -> None:
-    """Run `glue-agent`."""
-    run(agent)
-
-
-if __name__ == "__main__":
-    main()

@@ -44,7 +44,7 @@ class Options(GameOptions):
 
 
 class ChatAgent(LanguageAgent):
-    """A language model as the agent, by an endpoint of the common chat-completions form.
+    """A language model behind an endpoint for chats, of the common chat-completions form.
 
     The environment variable GLUE_CHAT_KEY holds the endpoint's key, if it wants one. docs/language-models.md
     says what is recorded.

@@ -75,7 +75,7 @@ class Options(GameOptions):
 
 
 class MCPAgent(LanguageAgent):
-    """A language model as the agent, by a server of the Model Context Protocol.
+    """A language model behind a client of the Model Context Protocol.
 
     Its tools are look, act and give_up. It serves the program that has started it, by standard input and
     output, or with --port any on this machine, by HTTP. docs/language-models.md shows both.

@@ -1,13 +1,54 @@
-"""Base class of the agents for Infinite Mario: name, seed, and the check of the task."""
+"""The agents for Infinite Mario share their actions, the options of several, and their base class.
+
+An action is a direction, whether to jump and whether to run, held for one step. There are twelve;
+Mohan (2010) calls them keystroke-level operators (KLO).
+"""
 
 from __future__ import annotations
 
 import abc
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Final
 
 from glue.errors import ConfigError, TaskSpecError
+from glue.options import Option
 from glue.roles import Agent
 from glue.taskspec import MARIO, parse_task_spec
+from glue.types import Action
+
+LEFT: Final = -1
+STAY: Final = 0
+RIGHT: Final = 1
+
+NUM_ACTIONS: Final = 12
+ACTIONS: Final = tuple(
+    Action(ints=(direction, jump, run))
+    for direction in (LEFT, STAY, RIGHT)
+    for jump in (0, 1)
+    for run in (0, 1)
+)
+"""The ints of each action by its number: direction -1 to 1, jump 0 or 1, run 0 or 1."""
+
+
+def action_number(direction: int, jump: bool, run: bool) -> int:
+    """Return the number of an action, 0 to 11."""
+    return 4 * (direction + 1) + 2 * int(jump) + int(run)
+
+
+Seed = Annotated[int | None, Option("random seed; the experiment's if not given", low=0)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SarsaOptions:
+    """The hyper-parameters of SARSA, with the values of Mohan (2010) as defaults."""
+
+    step_size: Annotated[float, Option("step size of SARSA (Mohan 2010: 0.3)", low=0, high=1)] = 0.3
+    discount: Annotated[float, Option("discount of SARSA (Mohan 2010: 0.9)", low=0, high=1)] = 0.9
+    epsilon: Annotated[float, Option("initial chance to explore (Mohan 2010: 0.1)", low=0, high=1)] = 0.1
+    reduction: Annotated[
+        float, Option("factor of epsilon per decision cycle (Mohan 2010: 0.9999)", low=0, high=1)
+    ] = 0.9999
+    seed: Seed = None
 
 
 class MarioAgent(Agent):

@@ -16,7 +16,7 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from agents.mario.actions import NUM_ACTIONS
+from agents.mario.agent import NUM_ACTIONS
 from glue.errors import SaveError
 from glue.saves import Arrays, Saved
 

@@ -39,11 +39,9 @@ from typing import Annotated, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents.mario.actions import ACTIONS, LEFT, RIGHT, STAY, action_number
-from agents.mario.agent import MarioAgent
+from agents.mario.agent import ACTIONS, LEFT, RIGHT, STAY, MarioAgent, Seed, action_number
 from agents.mario.archive import MAX_STEPS, Archive, Cell, Position, Trajectory
 from agents.mario.observation import glimpse
-from agents.mario.options import Seed
 from glue.errors import SaveError
 from glue.options import Option
 from glue.saves import Saved, generator_array, pack, unpack

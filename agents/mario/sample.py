@@ -11,8 +11,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from agents.mario.actions import ACTIONS, RIGHT, STAY, action_number
-from agents.mario.agent import MarioAgent
+from agents.mario.agent import ACTIONS, RIGHT, STAY, MarioAgent, action_number
 from agents.mario.observation import BLANK, COIN, COLUMNS, MARIO, ROWS, SOLID, decode
 from glue.compiled import java_random
 from glue.compiled.jit import announce_compilation

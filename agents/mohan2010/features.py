@@ -12,10 +12,10 @@ from typing import Final
 
 import numpy as np
 
-from agents.keys import extend, feature
 from agents.mario.objects import tile_above
 from agents.mario.observation import Screen, tile
 from agents.mario.scene import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Scene
+from agents.policy import extend, feature
 from agents.sarsa import Keys
 from glue.compiled.jit import jit
 

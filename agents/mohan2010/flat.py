@@ -17,10 +17,11 @@ import numpy as np
 
 from agents import sarsa
 from agents.mario import observation
+from agents.mario.agent import NUM_ACTIONS
 from agents.mario.monsters import THREATS_2010, forget_monsters
 from agents.mario.objects import look
 from agents.mario.scene import Scene, Senses, set_senses
-from agents.mohan2010 import features, klo
+from agents.mohan2010 import features
 from agents.mohan2010.learner import FULL, MALFORMED, LearnerOptions, MarioLearner, ObjectOptions
 from agents.policy import epsilon_greedy
 from agents.sarsa import Keys, Taken, Values
@@ -48,7 +49,7 @@ class Memory:
     last: Annotated[Taken, Taken]
     # scratch space
     states: Annotated[Keys, np.uint64, features.WINDOW]
-    values: Annotated[Values, np.float64, klo.KLOS]
+    values: Annotated[Values, np.float64, NUM_ACTIONS]
 
 
 @entry
@@ -64,7 +65,7 @@ def step(learners: Array, table: Array, memories: Array, body: bytes, reward: fl
         return MALFORMED
     count = _state(memory)
     sarsa.action_values(table, memory.states, count, memory.values)
-    action = epsilon_greedy(learner, memory.values, klo.KLOS)
+    action = epsilon_greedy(learner, memory.values, NUM_ACTIONS)
     sarsa.update(learner, table, memory.last, reward + learner.discount * memory.values[action])
     sarsa.take(memory.last, memory.states, count, action)
     if learner.learning:

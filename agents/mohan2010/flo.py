@@ -1,5 +1,7 @@
 """Functional-level operators (FLO): a task tied to one object, made of several keystrokes.
 
+A keystroke-level operator (KLO) is a primitive action, held for one step, inside an FLO.
+
 An FLO is proposed for every object whose relation to Mario holds, and ends when it no longer holds;
 move-to-goal is always proposed. Proposals to which no other is preferred are kept.
 Source: Mohan (2010), section 6; endings and goals from the author's Soar agents.
@@ -12,9 +14,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from agents.keys import extend, feature
-from agents.mario.observation import COIN, OUTSIDE, QUESTION, ROWS, tile
+from agents.mario.agent import RIGHT, action_number
+from agents.mario.observation import COIN, OUTSIDE, PIPE, QUESTION, ROWS, SOLID, Screen, tile
 from agents.mario.scene import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Object, Scene
+from agents.policy import extend, feature
 from glue.compiled.jit import jit
 
 Numbers = npt.NDArray[np.int64]
@@ -36,6 +39,8 @@ FLO_LEVEL: Final = 2
 CONTEXT: Final = 3
 
 _BEHIND: Final = 3
+
+_number: Final = jit(action_number)
 
 
 @jit
@@ -106,3 +111,19 @@ def goal_reached(scene: Scene, flo: int, identity: int, grid: int) -> bool:
         return True
     now = tile(scene.screen, identity // ROWS, identity % ROWS)
     return now != OUTSIDE and now != (COIN if flo == GRAB_COIN else QUESTION)
+
+
+# The policies of the FLOs that learn nothing: background knowledge instead of learned values
+
+
+@jit
+def jump_the_pit() -> int:
+    """Return the one KLO of avoid-pit: a running jump to the right crosses it."""
+    return _number(RIGHT, True, True)
+
+
+@jit
+def move_right(screen: Screen) -> int:
+    """Return the one KLO of move-to-goal: walk to the right, and jump when something is in the way."""
+    ahead = tile(screen, screen.column + 1, screen.row)
+    return _number(RIGHT, ahead in (SOLID, PIPE), False)

@@ -14,10 +14,8 @@ from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 
-from agents.mario.actions import ACTIONS
-from agents.mario.agent import MarioAgent
+from agents.mario.agent import ACTIONS, MarioAgent, SarsaOptions
 from agents.mario.observation import CHARS, malformed
-from agents.mario.options import SarsaOptions
 from agents.policy import seeded
 from agents.sarsa import Learner, contents, grown, table_of
 from glue.compiled.jit import announce_compilation

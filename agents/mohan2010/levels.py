@@ -7,13 +7,13 @@ from typing import Annotated
 import numpy as np
 
 from agents import sarsa
-from agents.keys import extend, feature
+from agents.mario.agent import NUM_ACTIONS
 from agents.mario.monsters import forget_monsters
 from agents.mario.objects import look, tile_above
 from agents.mario.scene import MAX_OBJECTS, Object, Scene, Senses
-from agents.mohan2010 import flo, klo
+from agents.mohan2010 import flo
 from agents.mohan2010.learner import FULL, MALFORMED
-from agents.policy import epsilon_greedy
+from agents.policy import epsilon_greedy, extend, feature
 from agents.sarsa import Keys, Learner, Taken, Values
 from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, Real
@@ -55,7 +55,7 @@ class Memory:
     kept: Annotated[flo.Numbers, np.int64, MAX_OBJECTS]
     flo_values: Annotated[Values, np.float64, MAX_OBJECTS]
     flo_keys: Annotated[Keys, np.uint64, 2]
-    klo_values: Annotated[Values, np.float64, klo.KLOS]
+    klo_values: Annotated[Values, np.float64, NUM_ACTIONS]
     states: Annotated[Keys, np.uint64, sarsa.MAX_FEATURES]
     state_count: Int
 
@@ -164,9 +164,9 @@ def _choose_klo(learner: Learner, table: Array, memory: Memory, which: int) -> i
     """Choose a KLO in the FLO for an object (NONE: move-to-goal), and record the KLO's features."""
     memory.state_count = 0
     if memory.current == flo.MOVE_TO_GOAL:
-        return klo.move_right(memory.scene.screen)
+        return flo.move_right(memory.scene.screen)
     if memory.current == flo.AVOID_PIT:
-        return klo.jump_the_pit()
+        return flo.jump_the_pit()
     if memory.design.sum_objects:
         for i in range(memory.scene.count):
             if memory.scene.objects[i].kind == memory.current and memory.state_count < len(memory.states):
@@ -174,7 +174,7 @@ def _choose_klo(learner: Learner, table: Array, memory: Memory, which: int) -> i
     else:
         _add_state(memory, memory.scene.objects[which])
     sarsa.action_values(table, memory.states, memory.state_count, memory.klo_values)
-    return epsilon_greedy(learner, memory.klo_values, klo.KLOS)
+    return epsilon_greedy(learner, memory.klo_values, NUM_ACTIONS)
 
 
 @jit

@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from agents.mario.agent import MarioAgent
 from agents.mario.observation import CHARS
-from agents.planner.horizons import Horizons
 from agents.planner.route import Route
 from agents.planner.search import SETTINGS, make_room, model, search
 from glue.compiled.jit import announce_compilation
+from glue.compiled.records import Array
 from glue.errors import ConfigError, SaveError
 from glue.options import Option
 from glue.saves import Arrays, Saved, pack, unpack
@@ -33,6 +33,7 @@ _MORE: Final = 6  # factor of the budget then
 _MOST: Final = 30  # factor of the budget after three times as many steps
 _MOST_HARD: Final = 50_000  # model steps at most then, unless the option says more
 _SECONDS_PER_SIM: Final = 2e-6  # at first
+_HORIZONS: Final = (1, 3, 5, 10)  # steps to look ahead
 _ACTIONS: Final = [Action(ints=buttons) for buttons in model.ACTIONS.tolist()]
 RUN_RIGHT: Final = 9
 LARGEST: Final = 100  # absolute value of a constant
@@ -319,3 +320,36 @@ def _parse_constants(text: str) -> npt.NDArray[np.float64]:
             ) from None
     values: npt.NDArray[np.float64] = model.constants(**given)
     return values
+
+
+class Horizons:
+    """The beliefs of the last steps, each stepped with the actions since, without any correction."""
+
+    def __init__(self) -> None:
+        self._worlds = [model.make()[0] for _ in range(_HORIZONS[-1])]
+        self._compared = dict.fromkeys(_HORIZONS, 0)
+        self._exact = dict.fromkeys(_HORIZONS, 0)
+        self._steps = 0
+
+    def start(self) -> None:
+        """Begin an episode: nothing has been predicted."""
+        self._steps = 0
+
+    def step(self, worlds: Array, levels: Array, action: int) -> None:
+        """Predict from the belief `worlds`, shape (1,), before an action, and from the beliefs before it."""
+        self._worlds[self._steps % _HORIZONS[-1]].view(np.uint8)[:] = worlds.view(np.uint8)
+        self._steps += 1
+        for world in self._worlds[: self._steps]:
+            model.step(world, levels, action)
+
+    def compare(self, levels: Array, body: npt.NDArray[np.uint8]) -> None:
+        """Compare an observation with its predictions."""
+        for ahead in _HORIZONS:
+            if ahead <= self._steps:
+                world = self._worlds[(self._steps - ahead) % _HORIZONS[-1]]
+                self._compared[ahead] += 1
+                self._exact[ahead] += model.predicts(world, levels, body)
+
+    def shares(self) -> dict[str, float]:
+        """Return the share of exact predictions by the steps that they look ahead."""
+        return {str(n): self._exact[n] / max(self._compared[n], 1) for n in _HORIZONS}

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from agents.mario.options import SarsaOptions, Seed
-from agents.soar.kernel import Kernel
-from agents.soar.link import SoarLink
+from agents.mario.agent import SarsaOptions, Seed
+from agents.soar.kernel import Kernel, SoarLink
 from agents.soar.mario_link import MarioLink
 from agents.soar.player import PRODUCTIONS, MaxCycles, SoarPlayer
 from agents.soar.task_link import TaskLink

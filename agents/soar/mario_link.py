@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from agents.mario.actions import ACTIONS, LEFT, RIGHT, STAY, action_number
+from agents.mario.agent import ACTIONS, LEFT, RIGHT, STAY, action_number
 from agents.mario.observation import (
     BLANK,
     BRICK,
@@ -42,8 +42,7 @@ from agents.mario.observation import (
     Seen,
     decode,
 )
-from agents.soar.kernel import Element, Kernel, SoarError
-from agents.soar.link import SoarLink
+from agents.soar.kernel import Element, Kernel, SoarError, SoarLink
 from glue.taskspec import TaskSpec
 from glue.types import Action, Observation
 

@@ -3,20 +3,23 @@
 Soar's random numbers are reseeded for each episode, from the agent's seed and the episode's number, so
 a saved agent continues with the same episodes. Soar has one generator for all kernels of a process, so
 agents that take turns in one process disturb each other's random numbers.
+
+A saved agent is the rules that hold its learned values, in Soar's own syntax, parsed without trusting
+them: a rule is a production whose only action is a numeric preference. A save may come from anyone, and the
+actions of other productions can execute any Soar command.
 """
 
 from __future__ import annotations
 
 import abc
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar, Final
 
 import numpy as np
 
-from agents.soar.kernel import Kernel, require_soar
-from agents.soar.link import SoarLink
-from agents.soar.rules import parse_rules
+from agents.soar.kernel import Kernel, SoarLink, require_soar
 from glue.errors import ConfigError, SaveError
 from glue.options import Option
 from glue.roles import Agent
@@ -32,6 +35,15 @@ MaxCycles = Annotated[
 ]
 
 _EXPLORATION: Final = ("epsilon", "temperature")
+_MAX_RULES: Final = 1_000_000
+_RULE: Final = re.compile(
+    r"sp \{(?P<name>[^\s{}|\"]+)\n"
+    r"(?P<conditions>(?:    +[^\n]*\n)+?)"
+    r"    -->\n"
+    r"    \(<[\w*-]+> \^operator <[\w*-]+> = -?\d+\.\d+\)\n"
+    r"\}\s*"
+)
+_QUOTED: Final = re.compile(r"\|[^|{}\n]*\|")
 
 
 class SoarPlayer(Agent):
@@ -218,3 +230,35 @@ def _text(saved: Saved, name: str) -> str:
         return saved.array(name, np.int8).tobytes().decode()
     except UnicodeDecodeError:
         raise SaveError(f"saved {saved.player}: {name} is not a text") from None
+
+
+def parse_rules(text: str) -> list[str]:
+    """Return the rules of a text as commands, one `sp { ... }` each, in the order of the text.
+
+    Raises:
+        SaveError: the text holds anything else.
+    """
+    rules: list[str] = []
+    end = 0
+    text = text.strip()
+    while end < len(text):
+        match = _RULE.match(text, end)
+        if match is None or len(rules) == _MAX_RULES or not _is_balanced(match["conditions"]):
+            raise SaveError(
+                f"saved rules: rule {len(rules) + 1} is not one that holds a value: {text[end : end + 200]!r}"
+            )
+        rules.append(match.group().strip())
+        end = match.end()
+    return rules
+
+
+def _is_balanced(conditions: str) -> bool:
+    """Return whether the braces of conditions are balanced, and none closes the production."""
+    if "-->" in conditions:
+        return False
+    depth = 0
+    for character in _QUOTED.sub("", conditions):
+        depth += {"{": 1, "}": -1}.get(character, 0)
+        if depth < 0 or character in '|"':
+            return False
+    return depth == 0

@@ -15,8 +15,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
-from agents.soar.kernel import Element, Kernel, SoarError
-from agents.soar.link import SoarLink
+from agents.soar.kernel import Element, Kernel, SoarError, SoarLink
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.taskspec import Range, TaskSpec
 from glue.types import Action, Observation

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from glue.cli.players import Extra, player_command
-from glue.cli.shared import run
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
@@ -26,6 +25,12 @@ def _rendered(player: Environment, _: bool) -> Rendered:
     return live.Rendered(player, screen)
 
 
+def _print_level(player: Any, seed: int) -> NoReturn:
+    """Print the level of a seed instead of serving."""
+    sys.stdout.write(player.level_template(seed))
+    click.get_current_context().exit()
+
+
 environment: click.Group = player_command(
     Role.ENVIRONMENT,
     "  glue-env mario --render\n"
@@ -35,13 +40,14 @@ environment: click.Group = player_command(
         click.Option(["--render", "_render"], is_flag=True, help="Draw it in this terminal as it is played."),
         _rendered,
     ),
+    Extra(
+        click.Option(
+            ["--level-template", "_level_template"],
+            type=int,
+            metavar="SEED",
+            help="Print the level of this seed as a text picture for --level, and end.",
+        ),
+        _print_level,
+        "level_template",
+    ),
 )
-
-
-def main() -> None:
-    """Run `glue-env`."""
-    run(environment)
-
-
-if __name__ == "__main__":
-    main()

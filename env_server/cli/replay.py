@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import click
 
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import one_line, say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
@@ -257,8 +256,3 @@ def _save(
     if png:
         save_png(png, shown[0])
         say(f"wrote {png}")
-
-
-def main() -> None:
-    """Run `glue-replay`."""
-    run(replay)

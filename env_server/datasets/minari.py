@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from io import StringIO
 from operator import mul
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import minari
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from minari.data_collector import EpisodeBuffer
 from minari.dataset.minari_dataset import parse_dataset_id
 
 from env_server.datasets.episodes import Played, played
-from env_server.datasets.spaces import Conversion, Counts, padded, stacked, stated
 from glue.errors import ConfigError, TaskSpecError
+from glue.gym.codec import Codec
 from glue.gym.spaces import read_spaces
 from glue.taskspec import parse_task_spec
 from glue.trajectory import Run, TrajectoryReader
-from glue.types import AbstractType
+from glue.types import AbstractType, arrays_of
 
 _MOST_BYTES: Final = 2**30
 """Maximum bytes of an episode's padded observations or actions: a single large one enlarges all."""
 
 _SIZES: Final = (4, 8, 1)
 """Bytes of an int, a double and a char."""
+_INT32: Final = np.iinfo(np.int32)
 
 
 def write_minari(readers: Sequence[TrajectoryReader], dataset_id: str) -> int:
@@ -157,3 +159,49 @@ def _last(episode: Played, ended: bool) -> npt.NDArray[np.bool_]:
     flags = np.zeros(len(episode.actions), np.bool_)
     flags[-1] = ended
     return flags
+
+
+Counts = tuple[int, int, int]
+"""Numbers of ints, doubles and chars."""
+
+Conversion = tuple[spaces.Space[Any], Callable[[AbstractType], Any]]
+"""A space, and a function that turns an observation or action into a value of the space."""
+
+
+def stated(space: spaces.Space[Any]) -> Conversion:
+    """Return the conversion for the space of a task spec."""
+    return space, Codec(space).unpack
+
+
+def padded(most: Counts) -> Conversion:
+    """Return the conversion to zero-padded arrays and `counts`, the numbers of values before padding.
+
+    Args:
+        most: the largest counts; a kind whose count is 0 is left out.
+    """
+    boxes = {
+        "ints": spaces.Box(_INT32.min, _INT32.max, (most[0],), np.int32),
+        "doubles": spaces.Box(-np.inf, np.inf, (most[1],), np.float64),
+        "chars": spaces.Box(0, 255, (most[2],), np.uint8),
+    }
+    found = {name: box for (name, box), count in zip(boxes.items(), most, strict=True) if count}
+    found["counts"] = spaces.Box(0, _INT32.max, (3,), np.int32)
+
+    def convert(value: AbstractType) -> dict[str, Any]:
+        numbers = {**arrays_of(value), "counts": np.array(value.counts, np.int32)}
+        return {
+            name: np.concatenate([numbers[name], np.zeros(box.shape[0] - len(numbers[name]), box.dtype)])
+            for name, box in found.items()
+        }
+
+    return spaces.Dict(found), convert
+
+
+def stacked(values: list[Any]) -> Any:
+    """Return values of a space, one for each step, as one value of arrays whose first axis is the step."""
+    first = values[0]
+    if isinstance(first, dict):
+        return {name: stacked([value[name] for value in values]) for name in first}
+    if isinstance(first, tuple):
+        return tuple(stacked(list(parts)) for parts in zip(*values, strict=True))
+    return np.stack(values)

@@ -9,11 +9,11 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from env_server.gym.games import make_games
 from env_server.gym.rendering import FPS, RENDER_MODES, Renderer, usable_modes
 from env_server.gym.spaces import (
     CHOICES,
     action_space,
+    make_games,
     observation_space,
     read_actions,
     unpack,

@@ -12,11 +12,11 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from env_server.gym.games import make_games
 from env_server.gym.rendering import FPS, RENDER_MODES, Renderer
 from env_server.gym.spaces import (
     CHOICES,
     action_space,
+    make_games,
     observation_space,
     read_actions,
     unpack,
@@ -24,7 +24,7 @@ from env_server.gym.spaces import (
 )
 from env_server.mario.many.games import DISABLED, INFOS, NEXT_STEP, SAME_STEP, Games
 from glue.errors import ConfigError, SimulatorError
-from glue.gym.modes import AutoresetMode, read_mode
+from glue.gym.vectors import AutoresetMode, read_mode
 
 _MODES = {
     AutoresetMode.NEXT_STEP: NEXT_STEP,

@@ -9,6 +9,8 @@ Messages that `env_message` answers:
     level                            level_seed=121 level_type=0 level_difficulty=0
     level level_seed=7 level_type=1  change these from the next episode on; answers like `level`
 
+A level that is read from a file cannot be changed, and `level` answers level_digest=SHA-256.
+
 docs/mario.md is for authors of agents.
 Source: RL-Competition 2009; Mohan (2010), appendix A.
 """
@@ -20,11 +22,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from decimal import Decimal
 from itertools import product
+from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from env_server.mario import parameters as tasks
 from env_server.mario.game import Game
 from env_server.mario.parameters import Parameters, resolve
+from env_server.mario.pictures import read_picture, write_picture
 from env_server.mario.saving import State, pack_state, unpack_state
 from glue.errors import ConfigError, SaveError, SimulatorError
 from glue.options import Value, parameters, parse_assignments
@@ -33,6 +37,7 @@ from glue.suggestions import did_you_mean
 from glue.types import Action, Observation, Step
 
 _LEVEL: Final = ("level_seed", "level_type", "level_difficulty")
+_IN_A_FILE: Final = (*_LEVEL, "level_width")
 _BUTTONS: Final = ("button_left", "button_right", "button_jump", "button_run")
 _ACTIONS: Final = {Action(ints=buttons).body: buttons for buttons in product((-1, 0, 1), (0, 1), (0, 1))}
 """Every legal action, by its bytes; looking up an action also checks it."""
@@ -51,13 +56,14 @@ class InfiniteMario(Environment):
         step = mario.env_step(Action(ints=[1, 0, 1]))
 
     Raises:
-        SimulatorError: an option is unknown or out of bounds, or both an instance and an MDP are given.
+        SimulatorError: an option is unknown or out of bounds, or two contradict each other.
+        ConfigError: the file of a level holds none.
     """
 
     Options: ClassVar[type] = tasks.Options
 
     def __init__(self, **options: Value | None) -> None:
-        self._task = check_parameters({name: value for name, value in options.items() if value is not None})
+        self._task = check_parameters(options)
         self._parameters = self._task
         self._game: Game | None = None
 
@@ -139,13 +145,16 @@ class InfiniteMario(Environment):
     def env_message(self, message: str) -> str:
         """Answer one of the messages at the top of this module; otherwise list them."""
         question, *assignments = message.split() or [""]
+        picture = self._parameters.level
         if question == "parameters" and not assignments:
-            return json.dumps(asdict(self._parameters))
+            return json.dumps(asdict(self._parameters) | {"level": picture and picture.sha256})
         if question == "level":
             try:
                 self._change_level(_parse_level(assignments))
             except ConfigError as error:
                 return f"refused: {error}"
+            if picture is not None:
+                return f"level_digest={picture.sha256}"
             return " ".join(f"{name}={getattr(self._parameters, name)}" for name in _LEVEL)
         return (
             f"refused: {message!r} is not a message of Mario's; these are: parameters, level, "
@@ -154,8 +163,7 @@ class InfiniteMario(Environment):
 
     def env_save(self) -> bytes:
         """Return the state on which later episodes depend: level, last buttons, and whether any began."""
-        level = tuple(getattr(self._parameters, name) for name in _LEVEL)
-        return pack_state(State(level, self.buttons, bool(self.game.world.started)))
+        return pack_state(State(self._level, self.buttons, bool(self.game.world.started)))
 
     def env_load(self, data: bytes) -> None:
         """Continue from a state that `env_save` returned.
@@ -164,15 +172,34 @@ class InfiniteMario(Environment):
             SaveError: `data` is damaged, of another environment or of another version.
         """
         state = unpack_state(data)
-        try:
-            level = _check(dict(zip(_LEVEL, state.level, strict=True)))
-        except SimulatorError as error:
-            raise SaveError(f"saved mario: {error}") from None
-        self._change_level(level)
+        level = dict(zip(_LEVEL, state.level, strict=True))
+        if state.level != self._level:
+            try:
+                self._change_level(_check(level))
+            except (ConfigError, SimulatorError) as error:
+                raise SaveError(f"saved mario: {error}") from None
         self.buttons = state.buttons
         self.game.world.started = state.started
 
+    def level_template(self, seed: int) -> str:
+        """Return the level of a seed, with the other options of this environment, as a text picture.
+
+        Raises:
+            SimulatorError: the seed is out of bounds, or the level is that of a file.
+        """
+        if self._task.level is not None:
+            raise SimulatorError("a template is made from a seed: leave out the file of a level")
+        game = Game(replace(self._task, **_check({"level_seed": seed})))
+        game.start()
+        return write_picture(game.level_map)
+
+    @property
+    def _level(self) -> tuple[int, ...]:
+        return tuple(getattr(self._parameters, name) for name in _LEVEL)
+
     def _change_level(self, level: dict[str, Any]) -> None:
+        if level and self._parameters.level is not None:
+            raise ConfigError("the level is that of a file, which is fixed when Mario is made")
         self._parameters = replace(self._parameters, **level)
         if self._game is not None:
             self._game.set_task(self._parameters)
@@ -182,12 +209,22 @@ def check_parameters(options: Mapping[str, Any]) -> Parameters:
     """Return the task that options of `InfiniteMario`, given by name, describe.
 
     Raises:
-        SimulatorError: an option is unknown or out of bounds, or both an instance and an MDP are given.
+        SimulatorError: an option is unknown or out of bounds, or two contradict each other.
+        ConfigError: the file of a level holds none.
     """
-    given = _check(options)
+    given = _check({name: value for name, value in options.items() if value is not None})
     instance, mdp = given.pop("instance", 0), given.pop("mdp", None)
     if instance and mdp:
         raise SimulatorError(f"instance {instance} and mdp {mdp} are two tasks: leave out one")
+    path, digest = given.pop("level", None), given.pop("level_digest", None)
+    if path is not None:
+        for name in _IN_A_FILE:
+            if name in given:
+                raise SimulatorError(f"level {path} is a whole level: leave out {name}")
+        picture = read_picture(Path(path), digest)
+        given |= {"level": picture, **picture.parameters}
+    elif digest is not None:
+        raise SimulatorError("level_digest is of the file of a level: give level, too")
     return resolve(given, instance=instance, mdp=mdp)
 
 

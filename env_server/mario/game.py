@@ -83,10 +83,14 @@ class Game:
     def set_task(self, parameters: Parameters) -> None:
         """Play another task from the next episode on."""
         parameters.write_to(self.world)
+        self._picture = parameters.level
 
     def start(self) -> Observation:
         """Begin an episode; return its first observation."""
-        if self._shared:
+        if self._picture is not None:
+            if self.level_map.seed != self.world.level_seed:
+                self._level, self._shared = self._picture.levels(), False
+        elif self._shared:
             self._level, self._shared = np.zeros(1, LEVEL), False
         _, size = _carry_out(self._memory, self._level, True, 0, 0, 0, self._body)
         self._observation = Observation._wrap(bytes(self._bytes[:size]))
@@ -137,7 +141,7 @@ class Game:
         """Return another game at the same point."""
         game = Game.__new__(Game)
         game._memory = self._memory.view(np.uint8).copy().view(WORLD)
-        game._level = self._level
+        game._level, game._picture = self._level, self._picture
         game._shared = self._shared = True
         game._body = np.zeros(BODY_SIZE, np.uint8)
         game._bytes = game._body.data
@@ -147,7 +151,7 @@ class Game:
     def restore(self, other: Game) -> None:
         """Take over the state of `other`."""
         self._memory.view(np.uint8)[:] = other._memory.view(np.uint8)
-        self._level = other._level
+        self._level, self._picture = other._level, other._picture
         self._shared = other._shared = True
         self._observation = other._observation
 

@@ -8,19 +8,22 @@ Level `n` of a set with D difficulties has a type, a difficulty and a seed:
                 similar levels from neighbouring seeds
 
 so a set holds all types and difficulties, in nearly equal numbers. A set never changes: other rules would
-need another `VERSION` and other names.
+need another `VERSION` and other names. A set may also be a folder of levels in files.
 
 Source of the hash: Steele, Lea and Flood (2014), Fast splittable pseudorandom number generators.
 """
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
-from typing import Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from env_server.mario.parameters import Parameters
+from env_server.mario.pictures import digest_of, read_picture
 from glue.compiled.jit import entry, jit
 from glue.errors import ConfigError
 from glue.suggestions import did_you_mean
@@ -29,6 +32,8 @@ VERSION: Final = 1
 TYPES: Final = 3
 DIFFICULTIES: Final = 4
 _LAST: Final = 2**31 - 1
+_MOST_FILES: Final = 10_000
+_DIGITS: Final = 12  # of a folder's digest
 
 
 class LevelSet(NamedTuple):
@@ -41,14 +46,79 @@ class LevelSet(NamedTuple):
         """Return the difficulty of level `number`."""
         return number // TYPES % self.difficulties
 
+    def options(self, number: int) -> dict[str, Any]:
+        """Return the options of Infinite Mario for level `number`."""
+        kind, difficulty = number % TYPES, self.difficulty(number)
+        return {"level_seed": int(level_seed(number)), "level_type": kind, "level_difficulty": difficulty}
+
     def level(self, task: Parameters, number: int) -> Parameters:
         """Return `task` on level `number`."""
-        return replace(
-            task,
-            level_seed=int(level_seed(number)),
-            level_type=number % TYPES,
-            level_difficulty=self.difficulty(number),
-        )
+        return replace(task, **self.options(number))
+
+    def title(self, number: int) -> str:
+        """Return the name of level `number`."""
+        return f"level {number}"
+
+
+class LevelFolder(NamedTuple):
+    """The levels in the files of a folder, numbered from 0; all have difficulty 0.
+
+    Attributes:
+        name: of the set: the folder, and a digest of the names and contents of its files, as in
+            `levels#3f2a91c07be1`.
+        files: path and SHA-256 of each.
+    """
+
+    name: str
+    files: tuple[tuple[Path, str], ...]
+
+    @property
+    def numbers(self) -> range:
+        """The numbers of the levels."""
+        return range(len(self.files))
+
+    def difficulty(self, number: int) -> int:
+        """Return 0."""
+        return 0
+
+    def options(self, number: int) -> dict[str, Any]:
+        """Return the options of Infinite Mario for level `number`."""
+        path, sha256 = self.files[number]
+        return {"level": str(path), "level_digest": sha256}
+
+    def level(self, task: Parameters, number: int) -> Parameters:
+        """Return `task` on level `number`.
+
+        Raises:
+            ConfigError: its file has changed, or holds no level.
+        """
+        picture = read_picture(*self.files[number])
+        return replace(task, level=picture, **picture.parameters)
+
+    def title(self, number: int) -> str:
+        """Return the name of level `number`."""
+        return self.files[number][0].name
+
+
+def read_folder(name: str) -> LevelFolder:
+    """Return the levels in the files `*.txt` of a folder, in the order of their names.
+
+    Args:
+        name: the folder; or with #DIGEST, as in `LevelFolder.name`.
+
+    Raises:
+        ConfigError: it has no such files or too many, or the digest is another.
+    """
+    folder, _, digest = name.partition("#")
+    paths = sorted(Path(folder).glob("*.txt"))
+    if not 1 <= len(paths) <= _MOST_FILES:
+        raise ConfigError(f"{folder} has {len(paths)} levels *.txt: expected 1 to {_MOST_FILES}")
+    files = tuple((path, digest_of(path)) for path in paths)
+    whole = "".join(f"{path.name} {sha256}\n" for path, sha256 in files)
+    found = hashlib.sha256(whole.encode(errors="surrogateescape")).hexdigest()[:_DIGITS]
+    if digest not in ("", found):
+        raise ConfigError(f"the levels in {folder} have changed: their digest is {found}, not {digest}")
+    return LevelFolder(f"{folder}#{found}", files)
 
 
 LEVEL_SETS: Final = {

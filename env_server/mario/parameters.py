@@ -14,6 +14,7 @@ from functools import cache, partial
 from importlib import resources
 from typing import Annotated, Any, Final, get_args, get_type_hints
 
+from env_server.mario.pictures import Picture
 from env_server.mario.sim.state import World
 from glue.options import Option
 
@@ -76,6 +77,7 @@ class Parameters:
     velocity: Annotated[
         str, Option("tiles per step, or as the first binary release reported it", choices=("source", "jar"))
     ] = "source"
+    level: Picture | None = None  # in place of a level made from a seed; its `parameters` are in force
 
     @property
     def rewards(self) -> tuple[float, float]:
@@ -100,6 +102,8 @@ class _Published:
     mdp: Annotated[
         str | None, Option("published task, level included, in place of an instance", choices=MDPS)
     ] = None
+    level: Annotated[str | None, Option("file of a level, a text picture, in place of a seed")] = None
+    level_digest: Annotated[str | None, Option("SHA-256 that this file must have, in hexadecimal")] = None
 
 
 def _optional(field: Field[Any]) -> tuple[str, Any, Any]:
@@ -110,13 +114,17 @@ def _optional(field: Field[Any]) -> tuple[str, Any, Any]:
 
 
 Options: Final = make_dataclass(
-    "Options", map(_optional, fields(Parameters)), bases=(_Published,), frozen=True, kw_only=True
+    "Options",
+    [_optional(field) for field in fields(Parameters) if field.name != "level"],
+    bases=(_Published,),
+    frozen=True,
+    kw_only=True,
 )
-"""The options of `InfiniteMario`: `instance`, `mdp`, and each parameter; None takes it from those two."""
+"""The options of `InfiniteMario`: those of `_Published`, and each parameter; None takes it from those."""
 
 
 def resolve(
-    given: Mapping[str, int | float | str], *, instance: int = 0, mdp: str | None = None
+    given: Mapping[str, int | float | str | Picture], *, instance: int = 0, mdp: str | None = None
 ) -> Parameters:
     """Return the task of an MDP, or else of an instance, overridden by the parameters `given` by name.
 

@@ -18,9 +18,8 @@ from typing import IO, TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from env_server.render.animation import between, outlined
 from env_server.render.artwork import CLOUD, MARK, PALETTE, SPRITES, TILES, WING
-from env_server.render.scene import Scene, Sprite, read_scene
+from env_server.render.scene import Scene, Sprite, between, outlined, read_scene
 from glue.cli.screen import Marks
 from glue.errors import ConfigError
 from glue.types import Observation

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from experiment_runner.cli.carrying_out import note_players_without_seed, resume_options
 from experiment_runner.cli.out import naming_out
-from experiment_runner.executors.resume import FINISH, open_run, remaining
-from experiment_runner.executors.run import RunConfig
+from experiment_runner.executors.opening import FINISH, open_run, remaining
+from experiment_runner.executors.settings import RunConfig
 from experiment_runner.plan.plan import Plan
 from experiment_runner.report.tables import counted
 from experiment_runner.slurm.batch import (
@@ -34,7 +34,7 @@ _SCRIPT = "array.sh"
 _JOB = "job"
 """Files in the folder of the parts: the script of the array, and its job number."""
 
-_MODULE = [sys.executable, "-P", "-m", "glue_rl"]
+_PROGRAM = [sys.executable, "-P", "-m", "glue_rl"]
 
 
 def carry_out_array(
@@ -75,15 +75,15 @@ def carry_out_array(
         note_players_without_seed(store, plan, say)
         tasks = divide(store, MAX_TASKS)
         options = [*resume_options(store, config), f"--checkpoint-every={config.checkpoint_every}"]
-        if config.meeting.in_process:
+        if config.placement.in_process:
             options.append("--in-process")
-        command = [*_MODULE, "experiment_runner.cli.experiment", *options, "--resume"]
+        command = [*_PROGRAM, "experiment", *options, "--resume"]
         replace_flushed(parts / _SCRIPT, array_script(parts, command, tasks, config.workers, sbatch))
         job = submit([str(parts / _SCRIPT)])
         replace_flushed(parts / _JOB, job)
     what = f"{counted(left, 'trial')} in {counted(tasks, 'task')}"
     say(f"submitted job {job}: {what}, with output in {parts}")
-    gathering = [*_MODULE, "experiment_runner.cli.results", "gather", str(directory.absolute())]
+    gathering = [*_PROGRAM, "results", "gather", str(directory.absolute())]
     try:
         submit(gathering_job(job, parts, gathering, sbatch))
     except ExperimentError as error:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
-from experiment_runner.executors.settings import Backend
+from experiment_runner.executors.settings import Backend, RunConfig
 from glue.errors import ConfigError
-
-if TYPE_CHECKING:
-    from experiment_runner.executors.run import RunConfig
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 

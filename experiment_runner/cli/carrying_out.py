@@ -15,24 +15,25 @@ import click
 
 from experiment_runner.cli.out import naming_out
 from experiment_runner.cli.planning import without_seed
-from experiment_runner.executors.recording import recorded
-from experiment_runner.executors.resume import (
+from experiment_runner.executors.opening import (
     FINISH,
     finished_at,
     kept_if_begun,
     open_run,
     remaining,
 )
-from experiment_runner.executors.run import RunConfig, run_trials
-from experiment_runner.meeting.players import HubOptions
-from experiment_runner.plan.plan import PLAYERS, Plan, class_files
+from experiment_runner.executors.recording import recorded
+from experiment_runner.executors.run import run_trials
+from experiment_runner.executors.settings import HubOptions, RunConfig
+from experiment_runner.plan.limits import PLAYERS
+from experiment_runner.plan.plan import Plan, class_files
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.report.tables import summarize, tabulate, terminal_width
 from experiment_runner.store.layout import clear
 from experiment_runner.store.records import TUNED, UNSEEDED
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from experiment_runner.view.starting import viewed
+from experiment_runner.view.launch import viewed
 from glue.cli.screen import has_color
 from glue.console import one_line, say
 from glue.errors import ConfigError
@@ -68,12 +69,12 @@ def carry_out(
 
     with kept_if_begun(directory, kept), ExitStack() as stack:
         addresses = stack.enter_context(ExitStack())
-        if not config.meeting.in_process:
-            from experiment_runner.meeting.over_hub import listening  # slow to import
+        if not config.placement.in_process:
+            from experiment_runner.executors.over_hub import listening  # slow to import
 
             # Before anything is written, because an address may be in use.
-            meeting = addresses.enter_context(listening(plan, config.meeting, progress.say))
-            config = replace(config, meeting=meeting)
+            placement = addresses.enter_context(listening(plan, config.placement, progress.say))
+            config = replace(config, placement=placement)
         # A recording may be one of the run's own files: then the run's folder must exist first.
         inside = record is not None and record.absolute().parent == directory.absolute()
         recording = None if inside else stack.enter_context(recorded(record))
@@ -147,7 +148,7 @@ def resume_command(store: Store, config: RunConfig) -> str:
 
 def resume_options(store: Store, config: RunConfig) -> list[str]:
     """Return the options that a run needs to continue, but does not hold in its directory."""
-    hub = config.meeting.hub
+    hub = config.placement.hub
     command = [f"--bind={url}" for url in hub.bind]
     command += [f"--legacy-port={port.host}:{port.port or '*'}={port.session}" for port in hub.legacy]
     for option, value in (("hub", hub.hub), ("key", hub.key), ("hub-key", hub.hub_key), ("keys", hub.keys)):
@@ -157,9 +158,9 @@ def resume_options(store: Store, config: RunConfig) -> list[str]:
         command.append(f"--session={hub.session}")
     if hub.insecure:
         command.append("--insecure")
-    if not config.meeting.in_process:
-        command += [f"--inside={flag}" for flag, role in PLAYERS.items() if role in config.meeting.inside]
-    if config.meeting.any_reward:
+    if not config.placement.in_process:
+        command += [f"--inside={flag}" for flag, role in PLAYERS.items() if role in config.placement.inside]
+    if config.placement.any_reward:
         command.append("--any-reward")
     command += [f"--ask={question}" for question in config.questions]
     if class_files([role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]):
@@ -173,15 +174,19 @@ def check_players(config: RunConfig, plan: Plan) -> None:
     Raises:
         ConfigError: they cannot.
     """
-    inside = config.meeting.inside
-    if inside and not (config.parallel or config.meeting.in_process) and config.meeting.hub.hub is not None:
+    inside = config.placement.inside
+    if (
+        inside
+        and not (config.parallel or config.placement.in_process)
+        and config.placement.hub.hub is not None
+    ):
         raise ConfigError("players run inside the process of a hub of our own: leave out --hub, or --inside")
     for flag, sweeps in (("agent", plan.agents), ("env", plan.environments)):
-        if PLAYERS[flag] in inside and not sweeps and not config.meeting.in_process:
+        if PLAYERS[flag] in inside and not sweeps and not config.placement.in_process:
             raise ConfigError(f"--{flag} NAME is missing: only a named player runs inside")
-    if not (config.parallel or config.meeting.in_process):
+    if not (config.parallel or config.placement.in_process):
         return
-    if config.meeting.hub != HubOptions():
+    if config.placement.hub != HubOptions():
         why = "every worker starts its own hub" if config.parallel else "with --in-process there is no hub"
         raise ConfigError(f"{why}: leave out --hub, --bind, --session and --legacy-port")
     for role, sweeps in (("agent", plan.agents), ("env", plan.environments)):

@@ -7,16 +7,14 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from experiment_runner.cli.out import naming_out
-from experiment_runner.view.starting import check_view, viewed
+from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 from glue.files import read_text
@@ -26,24 +24,28 @@ from glue.keys.certificates import encode, read_pair, read_public
 if TYPE_CHECKING:
     from experiment_runner.competition.course import Course
     from experiment_runner.competition.records.journal import Act
-    from experiment_runner.competition.settings import Competition
-    from experiment_runner.store.store import Store
+    from experiment_runner.store.results import Results
 
-_FILE = click.argument("file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE")
-_DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, file_okay=False), metavar="DIR")
-_REASON = click.option(
-    "--reason",
-    required=True,
-    callback=lambda context, option, value: _reason(value),
-    metavar="TEXT",
-    help="Why, in a line for all to read: it is sealed with the run, and shown on the board.",
-)
+_READ = click.Path(path_type=Path, dir_okay=False)
+_FOLDER = click.Path(path_type=Path, file_okay=False)
+
+_FILE = click.argument("file", type=_READ, metavar="FILE")
+_DIRECTORY = click.argument("directory", type=_FOLDER, metavar="DIR")
 
 
-def _reason(text: str) -> str:
+def _reason(context: click.Context, option: click.Parameter, text: str) -> str:
     if not text.strip() or not text.isprintable():
         raise click.BadParameter("a reason is a line of printable text")
     return text.strip()
+
+
+_REASON = click.option(
+    "--reason",
+    required=True,
+    callback=_reason,
+    metavar="TEXT",
+    help="Why, in a line for all to read: it is sealed with the run, and shown on the board.",
+)
 
 
 @click.group("glue-compete", no_args_is_help=True)
@@ -58,13 +60,14 @@ def compete() -> None:
       glue-compete verify runs/spring --sign organiser.key_secret
       glue-compete board runs/spring --format html > spring.html
     """
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
 
 
 @compete.command()
 @_FILE
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=_FOLDER,
     default=Path("check"),
     show_default=True,
     metavar="DIR",
@@ -72,10 +75,11 @@ def compete() -> None:
 )
 def check(file: Path, out: Path) -> int:
     """Let every entrant play 3 episodes of each task on a public level, and report to its owner."""
-    from experiment_runner.competition.secret import read_secret
-    from experiment_runner.competition.smoke import check_entrants
+    from experiment_runner.competition.check import check_entrants
+    from experiment_runner.competition.settings import load_competition
+    from experiment_runner.competition.trials import read_secret
 
-    competition = _load(file)
+    competition = load_competition(file)
     try:
         read_secret(competition, os.environ, say)  # not needed, but no program may inherit it
     except ConfigError as error:
@@ -89,7 +93,7 @@ def check(file: Path, out: Path) -> int:
 @_FILE
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=_FOLDER,
     required=True,
     metavar="DIR",
     help="Directory of the run; if it contains a run of this competition, that run continues.",
@@ -102,7 +106,7 @@ def check(file: Path, out: Path) -> int:
 )
 @click.option(
     "--keys",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=_FOLDER,
     metavar="DIR",
     help="Directory with the hub's pair of keys, for entrants who join with theirs at --bind; see glue-keys.",
 )
@@ -114,13 +118,13 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     """Let every entrant play every task. After an interruption, the same command plays the rest."""
     from experiment_runner.competition.course import course_of
     from experiment_runner.competition.organiser import hold, open_competition
-    from experiment_runner.competition.secret import read_secret
-    from experiment_runner.competition.settings import Gate
-    from experiment_runner.executors.resume import kept_if_begun
+    from experiment_runner.competition.settings import Gate, load_competition
+    from experiment_runner.competition.trials import read_secret
+    from experiment_runner.executors.opening import kept_if_begun
 
     if view:
         check_view()
-    competition = _load(file)
+    competition = load_competition(file)
     secret = read_secret(competition, os.environ, say)
     text = read_text(file, follow=True)
 
@@ -146,21 +150,21 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
 
 @compete.command()
 @_DIRECTORY
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE")
+@click.argument("file", type=_READ, metavar="FILE")
 @_REASON
 def add(directory: Path, file: Path, reason: str) -> None:
     """Add the entrants of FILE that the run in DIR does not have yet; `run` then lets them play."""
     from experiment_runner.competition.organiser import admissions
     from experiment_runner.competition.records.journal import ADD
+    from experiment_runner.competition.settings import load_competition
 
-    competition = _load(file)
-
-    def acts(course: Course, store: Store) -> list[Act]:
+    def acts(course: Course, results: Results) -> list[Act]:
         new = [entrant for entrant in competition.entrants if entrant.name not in course.entrants]
         if not new:
             raise ExperimentError(f"{file} has no entrant that {directory} does not have")
         return admissions(competition, new, ADD, reason)
 
+    competition = load_competition(file)
     _act(directory, acts)
     say(f"now: glue-compete run {file} --out {directory}")
 
@@ -171,7 +175,7 @@ def add(directory: Path, file: Path, reason: str) -> None:
 @_REASON
 def exclude(directory: Path, entrants: tuple[str, ...], reason: str) -> None:
     """Take entrants of the run in DIR off the board for good; everything that they played is kept."""
-    _act(directory, lambda course, store: [course.exclusion(one, reason) for one in dict.fromkeys(entrants)])
+    _act(directory, lambda course, _: [course.exclusion(one, reason) for one in dict.fromkeys(entrants)])
 
 
 @compete.command()
@@ -184,40 +188,23 @@ def rerun(directory: Path, trials: tuple[str, ...], reason: str) -> None:
     The new trials count instead of the old ones, which are kept.
     """
 
-    def acts(course: Course, store: Store) -> list[Act]:
-        over = store.outcomes()
-        made: list[Act] = []
-        for trial in dict.fromkeys(trials):
-            made.append(replace(course, acts=[*course.acts, *made]).repetition(trial, over, reason))
-        return made
-
-    _act(directory, acts)
+    _act(directory, lambda course, results: course.repetitions(trials, results.outcomes(), reason))
     say(f"now: glue-compete run FILE --out {directory}")
 
 
-def _act(directory: Path, acts: Callable[[Course, Store], list[Act]]) -> None:
-    """Add acts to the journal of a run, and show them."""
+def _act(directory: Path, acts: Callable[[Course, Results], list[Act]]) -> None:
     from experiment_runner.competition.board.forms import told
-    from experiment_runner.competition.course import course_of
-    from experiment_runner.competition.records import seal
-    from experiment_runner.store.store import Store
+    from experiment_runner.competition.course import act_on
 
-    with Store.open(directory) as store:
-        if seal.seal(store) and (changed := seal.broken(store)):
-            raise ExperimentError(
-                f"{changed} in {directory} were changed since they were written: put them back"
-            )
-        made = acts(course_of(directory), store)
-        seal.record_acts(store, made)
-    for one in made:
-        say(told(one))
+    for act in act_on(directory, acts):
+        say(told(act))
 
 
 @compete.command()
 @_DIRECTORY
 @click.option(
     "--sign",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=_READ,
     metavar="FILE",
     help="Secret key with which to sign the results, if all are verified; see glue-keys.",
 )
@@ -248,9 +235,7 @@ def verify(directory: Path, sign: Path | None) -> int:
     if pair is not None and failed:
         say("nothing was signed")
     elif pair is not None:
-        from glue.keys import signing
-
-        seal.sign(directory, encode(pair.public), lambda message: signing.sign(pair.secret, message))
+        seal.sign(directory, pair)
         say(f"signed with {encode(pair.public)}")
     return 1 if failed else 0
 
@@ -266,9 +251,7 @@ def verify(directory: Path, sign: Path | None) -> int:
     help="For the terminal, as CSV, as one self-contained HTML page, or as JSON.",
 )
 @click.option(
-    "--reveal",
-    is_flag=True,
-    help="After the competition: show what the secret seed has determined.",
+    "--reveal", is_flag=True, help="After the competition: show what the secret seed has determined."
 )
 @click.option(
     "--signed-by",
@@ -280,40 +263,16 @@ def board(directory: Path, form: str, reveal: bool, signed_by: str | None) -> No
     from experiment_runner.competition.board.forms import as_csv, as_json, as_text
     from experiment_runner.competition.board.standings import standings
     from experiment_runner.competition.course import course_of
+    from experiment_runner.competition.records.seal import check_signature
     from experiment_runner.report.tables import terminal_width
     from experiment_runner.store.results import Results
     from experiment_runner.view.export import as_page
 
     if signed_by is not None:
-        _check_signature(directory, read_public(signed_by, "signed_by"))
+        check_signature(directory, read_public(signed_by, "signed_by"))
     with Results.open(directory) as results:
         found = standings(results, course_of(directory), reveal)
     if form == "text":
         click.echo(as_text(found, terminal_width()))
     else:
         sys.stdout.write({"csv": as_csv, "html": as_page, "json": as_json}[form](found))
-
-
-def _check_signature(directory: Path, public: bytes) -> None:
-    from experiment_runner.competition.records.seal import signed_message
-    from glue.keys.signing import is_signed
-
-    message, signature = signed_message(directory)
-    if not is_signed(public, message, signature):
-        raise ExperimentError(f"{directory} was not signed with {encode(public)}, or was changed since")
-
-
-def _load(file: Path) -> Competition:
-    from experiment_runner.competition.file import load_competition
-
-    return load_competition(file)
-
-
-def main() -> None:
-    """Run the command."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
-    run(compete)
-
-
-if __name__ == "__main__":
-    main()

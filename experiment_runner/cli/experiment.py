@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import Any, Final, TextIO
 
 import click
 from click.core import ParameterSource
@@ -22,10 +22,11 @@ from experiment_runner.cli.planning import (
     own_directory,
     role_sweeps,
 )
-from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend
+from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend, HubOptions, Placement, RunConfig
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PLAYERS
 from experiment_runner.plan.metrics import MetricsPlan
-from experiment_runner.plan.plan import BUDGETS, COUNTS, PLAYERS, Plan, RoleSweep, budget, describe
-from experiment_runner.view.starting import check_view
+from experiment_runner.plan.plan import Plan, RoleSweep, budget, describe
+from experiment_runner.view.launch import check_view
 from glue import __version__
 from glue.cli.shared import (
     HUB_KEY_SETTINGS,
@@ -33,7 +34,6 @@ from glue.cli.shared import (
     WAIT_VARIABLE,
     keys_option,
     legacy_port_option,
-    run,
 )
 from glue.errors import ConfigError
 from glue.hub.config import (
@@ -47,9 +47,6 @@ from glue.hub.config import (
 )
 from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
-
-if TYPE_CHECKING:
-    from experiment_runner.meeting.players import HubOptions
 
 _GROUPS: Final = {
     "Episodes and their results": (
@@ -312,16 +309,14 @@ def _experiment(options: Options, results: TextIO | None) -> int:
     """Carry out the command; `results` receives JSON lines, None for a table on standard output."""
     from experiment_runner.cli.arrays import carry_out_array
     from experiment_runner.cli.carrying_out import carry_out, carry_out_search, check_players, check_recording
-    from experiment_runner.executors.run import RunConfig
-    from experiment_runner.meeting.players import Meeting
 
     plan, given = _planned(options)
     inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
     roles = frozenset(PLAYERS[player] for player in inside)
-    meeting = Meeting(roles, _hub_options(options), any_reward=options.any_reward)
+    placement = Placement(roles, _hub_options(options), any_reward=options.any_reward)
     backend, questions = Backend(options.engine), tuple(dict.fromkeys(options.ask))
     config = RunConfig(
-        meeting, options.checkpoint_every, backend, options.workers, options.address, questions
+        placement, options.checkpoint_every, backend, options.workers, options.address, questions
     )
     config = replace(config, metrics=plan.metrics)
     check_backend(config)
@@ -355,7 +350,7 @@ def _planned(options: Options) -> tuple[Plan, Path | None]:
         ConfigError: the options contradict each other, or the plan is wrong.
         ExperimentError: there is no run to continue, or it cannot be read.
     """
-    from experiment_runner.executors.resume import recorded_plan
+    from experiment_runner.executors.opening import recorded_plan
 
     file, resume = options.plan_file, options.resume
     if file is not None and (
@@ -395,8 +390,6 @@ def _hub_options(options: Options) -> HubOptions:
     Raises:
         ConfigError: options contradict each other, or an address is malformed.
     """
-    from experiment_runner.meeting.players import HubOptions
-
     in_process = options.in_process or PLAYERS.keys() <= {*options.inside}
     isolated = in_process or options.workers or options.engine != Backend.LOCAL
     ours = {"--bind": options.bind, "--legacy-port": options.legacy_port, "--keys": options.keys}
@@ -432,12 +425,3 @@ def _hub_options(options: Options) -> HubOptions:
 def _from_variable(option: str) -> bool:
     """Return whether an option was set by an environment variable."""
     return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
-
-
-def main() -> None:
-    """Run `glue-experiment`."""
-    run(experiment)
-
-
-if __name__ == "__main__":
-    main()

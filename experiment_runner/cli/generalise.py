@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import shlex
 import sys
-import zlib
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TypeVar
 
 import click
 
 from experiment_runner.cli.backend import backend_options, check_backend
 from experiment_runner.cli.out import naming_out
 from experiment_runner.cli.planning import own_directory
-from experiment_runner.executors.settings import Backend
+from experiment_runner.executors.settings import BOTH, Backend, Placement, RunConfig
 from experiment_runner.plan.plan import RoleSpec
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
-from glue.errors import ConfigError
 from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
 
 _T = TypeVar("_T")
-_MOST_BYTES: Final = 2**28
-"""Maximum size of a file of scores, in bytes; the scores of 16,032 levels take 5 MB."""
 
 
 @click.group("glue-generalise", invoke_without_command=True)
@@ -51,8 +45,8 @@ _MOST_BYTES: Final = 2**28
     "sets",
     multiple=True,
     metavar="NAME",
-    help="Score this set of levels, or with NAME:N its first N, for each difficulty, in place of --train and "
-    "--test. Repeat it for several.",
+    help="Score this set of levels, or with NAME:N its first N, or the levels in *.txt of a folder, "
+    "for each difficulty, in place of --train and --test. Repeat it for several.",
 )
 @click.option(
     "--learn",
@@ -150,19 +144,23 @@ def generalise(
     """
     if context.invoked_subcommand:
         return 0
-    from experiment_runner.executors.run import RunConfig, run_trials
-    from experiment_runner.meeting.players import BOTH, Meeting
+    from experiment_runner.executors.run import run_trials
     from experiment_runner.report.progress import Progress
     from experiment_runner.store.database import reported
-    from experiment_runner.study.generalisation.benchmark import Benchmark, document, open_benchmark
-    from experiment_runner.study.generalisation.players import LAST_ACTIONS, LAST_REWARD
+    from experiment_runner.study.generalisation.benchmark import (
+        Benchmark,
+        document,
+        open_benchmark,
+        read_scores,
+    )
+    from experiment_runner.study.generalisation.players import LAST_ACTIONS, LAST_REWARD, set_name
     from experiment_runner.study.generalisation.summary import table
     from experiment_runner.study.generalisation.verification import solvable
     from glue.cli.screen import has_color
 
-    certified = solvable(_read(certificates)) if certificates else frozenset()
+    certified = solvable(read_scores(certificates)) if certificates else frozenset()
     if results:
-        print(table([_read(path) for path in results], certified, plain=sys.stdout.isatty()))
+        print(table([read_scores(path) for path in results], certified, plain=sys.stdout.isatty()))
         return 0
     if agent_name is None:
         raise click.UsageError("name the agent with --agent, or results with --table")
@@ -170,9 +168,9 @@ def generalise(
         name=name or agent_name,
         agent=agent_name,
         agent_options=agent_options,
-        train=train,
-        test=test,
-        sets=_distinct(sets),
+        train=set_name(train),
+        test=set_name(test),
+        sets=_distinct(tuple(map(set_name, sets))),
         learn=learn,
         relearn=relearn,
         seeds=_distinct(seeds),
@@ -180,7 +178,7 @@ def generalise(
         noise=noise,
     )
     config = RunConfig(
-        Meeting(BOTH),
+        Placement(BOTH),
         backend=Backend(engine),
         workers=workers,
         address=address,
@@ -217,93 +215,16 @@ def verify(path: Path) -> int:
 
     PATH is a run, or a file that --out wrote. The exit code is 1 if a score is not what its actions earn.
     """
+    from experiment_runner.study.generalisation.benchmark import read_scores
     from experiment_runner.study.generalisation.verification import differences
 
     wrong = 0
-    for difference in differences(_read(path), say):
+    for difference in differences(read_scores(path), say):
         print(difference)
         wrong += 1
     print(f"{wrong} scores are wrong" if wrong else "every score is what its actions earn")
     return 1 if wrong else 0
 
 
-@generalise.command("certify")
-@click.argument("levels", metavar="SET")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    required=True,
-    help="File of the certificates; those in it are kept, and the others added. It is compressed if its name "
-    "ends in .gz.",
-)
-def certify_set(levels: str, out: Path) -> int:
-    """Find a certificate for each level of a set: actions that reach the goal, planned with the level known.
-
-    SET is the name of a set, or NAME:N for its first N levels. The command may be interrupted and run again.
-    """
-    from experiment_runner.store.database import reported
-    from experiment_runner.study.generalisation.summary import Document, table
-    from experiment_runner.study.generalisation.verification import certify
-
-    def keep(document: Document) -> None:
-        with reported(f"cannot write {out}"):
-            written = out.with_name(out.name + ".part")
-            text = json.dumps(document, separators=(",", ":")).encode() + b"\n"
-            written.write_bytes(gzip.compress(text, mtime=0) if out.suffix == ".gz" else text)
-            written.replace(out)
-
-    print(table([certify(levels, _read(out) if out.exists() else None, keep)]))
-    return 0
-
-
-@generalise.command("physics")
-@click.argument("groups", nargs=-1, required=True)
-@click.option(
-    "--levels", type=click.IntRange(1, 1000), default=200, show_default=True, help="Levels of test-1000."
-)
-def physics(groups: tuple[str, ...], levels: int) -> int:
-    """Show how well planner-learns identifies physical constants, compared to a planner that knows them.
-
-    GROUPS are the constants to play with: instance-N, proving-N, testing-N or random; or mdps, the 20 MDPs.
-    """
-    from experiment_runner.study.generalisation.physics import outcomes, physics_table
-
-    played = [list(outcomes(group, levels)) for group in groups]
-    print(physics_table(groups, played))
-    return 0
-
-
 def _distinct(values: tuple[_T, ...]) -> tuple[_T, ...]:
     return tuple(dict.fromkeys(values))
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Return the scores in a file or in a run."""
-    from experiment_runner.store.results import Results
-    from experiment_runner.study.generalisation.benchmark import benchmark_of, document
-
-    if path.is_dir():
-        benchmark = benchmark_of(path)
-        with Results.open(path) as results:
-            return document(results, benchmark)
-    try:
-        with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
-            text = file.read(_MOST_BYTES + 1)
-        if len(text) > _MOST_BYTES:
-            raise ValueError(f"it is longer than {_MOST_BYTES} bytes")
-        scores: dict[str, Any] = json.loads(text)
-        names = ("name", "trials")
-        if not all(name in scores for name in names):
-            raise ValueError(f"it has no {' or '.join(names)}")
-    except (OSError, EOFError, zlib.error, ValueError) as error:
-        raise ConfigError(f"{path} is not a result of glue-generalise: {error}") from None
-    return scores
-
-
-def main() -> None:
-    """Run `glue-generalise`."""
-    run(generalise)
-
-
-if __name__ == "__main__":
-    main()

@@ -13,7 +13,6 @@ from experiment_runner.cli.out import naming_out
 from experiment_runner.plan.plan import Plan, check_options
 from experiment_runner.study.paper.experiments import ALL, EPISODES, EXPERIMENTS, SOAR, TRIALS, plan_of
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.plugins.loading import find
 from glue.wire.messages import Role
@@ -108,23 +107,14 @@ def paper(
 
 def _run(directory: Path, plan: Plan, workers: int) -> int:
     """Run the remaining trials of a plan; return the number of trials that failed."""
-    from experiment_runner.executors.resume import open_run
-    from experiment_runner.executors.run import RunConfig, run_trials
-    from experiment_runner.meeting.players import BOTH, Meeting
+    from experiment_runner.executors.opening import open_run
+    from experiment_runner.executors.run import run_trials
+    from experiment_runner.executors.settings import BOTH, Placement, RunConfig
     from experiment_runner.report.progress import Progress
     from glue.cli.screen import has_color
 
-    config = RunConfig(Meeting(BOTH), workers=workers)
+    config = RunConfig(Placement(BOTH), workers=workers)
     with ExitStack() as stack:
         with naming_out():
             store = stack.enter_context(open_run(directory, plan))
         return run_trials(store, config, Progress(color=has_color(sys.stderr)), again="the same command")
-
-
-def main() -> None:
-    """Run `glue-paper`."""
-    run(paper)
-
-
-if __name__ == "__main__":
-    main()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +15,12 @@ import click
 
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.ids import REMOTE
-from experiment_runner.plan.plan import BUDGETS, Plan, RoleSweep, absolute, budget, check_options, class_files
+from experiment_runner.plan.limits import BUDGETS
+from experiment_runner.plan.plan import Plan, RoleSweep, absolute, budget, check_options, class_files
 from experiment_runner.plan.toml import naming_lines, read
+from experiment_runner.plan.user_files import with_digests
 from glue.errors import ConfigError, ExperimentError
-from glue.options import parse_assignments
+from glue.options import parameters, parse_assignments
 from glue.plugins import loading
 from glue.plugins.loading import find, names
 from glue.wire.messages import Role
@@ -66,7 +68,19 @@ def _checked(plan: Plan) -> Plan:
     """Return a plan with its options checked; an error is raised before anything is created."""
     plan = check_options(plan, _find)
     plan.expand()  # raises an error if a trial occurs twice
-    return plan
+    agents, environments = _pinned(Role.AGENT, plan.agents), _pinned(Role.ENVIRONMENT, plan.environments)
+    return replace(plan, agents=agents, environments=environments)
+
+
+def _pinned(role: Role, sweeps: Iterable[RoleSweep]) -> tuple[RoleSweep, ...]:
+    """Return agents or environments with the digests of the files that their options name."""
+    from experiment_runner.store.database import reported
+
+    with reported("cannot read a file of the user"):
+        return tuple(
+            replace(sweep, options=with_digests(sweep.options, parameters(find(role, sweep.name))))
+            for sweep in sweeps
+        )
 
 
 def _find(role: str, name: str) -> type:

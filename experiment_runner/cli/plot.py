@@ -12,7 +12,6 @@ import click
 
 from experiment_runner.cli.out import over_option, select_option, selected
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.suggestions import did_you_mean
 
@@ -117,6 +116,7 @@ def plot(
     from experiment_runner.store.records import MEASURES
     from experiment_runner.store.results import Results
 
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     known = [*MEASURES, *([REWARD] if over == "steps" else [])]
     if measure not in known:
         raise click.UsageError(f"there is no measure {measure}{did_you_mean(measure, known)}")
@@ -175,13 +175,3 @@ def plot(
     assert out is not None
     save(figure, out)
     say(f"wrote {out}")
-
-
-def main() -> None:
-    """Run `glue-plot`."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
-    run(plot)
-
-
-if __name__ == "__main__":
-    main()

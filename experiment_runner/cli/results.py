@@ -15,7 +15,6 @@ import click
 from experiment_runner.cli.out import naming_out, over_option, select_option, selected
 from experiment_runner.loggers import LOGGERS
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError
 from glue.suggestions import did_you_mean
@@ -50,6 +49,7 @@ def results() -> None:
       glue-results agent runs/mine --out mine.agent
       glue-results remove runs/mistake
     """
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
 
 
 @results.command("list")
@@ -515,13 +515,3 @@ def _why_unsaved(found: Results, trial: TrialRecord) -> str:
 def _say_all(lines: Iterable[str]) -> None:
     for line in lines:
         say(f"note: {line}")
-
-
-def main() -> None:
-    """Run `glue-results`."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
-    run(results)
-
-
-if __name__ == "__main__":
-    main()

@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 
 import click
 
+from experiment_runner.view.launch import check_view
 from glue import __version__
-from glue.cli.shared import run
 from glue.errors import ConfigError
 
 _LOOPBACK: Final = "127.0.0.1"
@@ -71,29 +71,14 @@ def view(
       glue-view runs/mine /data/mario --no-browser
       glue-view --port 9000 --proxy https://lab.example/runs
     """
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     for directory in directories:
         if not directory.is_dir():
             raise ConfigError(f"there is no folder {directory}")
-    show(directories or (_DEFAULT_FOLDER,), port, host, insecure, proxy, browser=not no_browser, err=stderr)
+    check_view()
+    from experiment_runner.view.catalog import address_of
+    from experiment_runner.view.server import is_loopback, serve
 
-
-def show(
-    directories: tuple[Path, ...],
-    port: int | None,
-    host: str,
-    insecure: bool,
-    proxy: str,
-    browser: bool,
-    err: bool,
-) -> None:
-    """Serve the page, and print its address."""
-    try:
-        from experiment_runner.view.catalog import address_of
-        from experiment_runner.view.server import is_loopback, serve
-    except ModuleNotFoundError as error:
-        if error.name not in ("starlette", "uvicorn"):
-            raise
-        raise ConfigError("the page needs Starlette and uvicorn: pip install 'glue-rl[web]'") from None
     if not insecure and not is_loopback(host):
         raise ConfigError(
             f"{host} can be reached by other machines, and the page is not encrypted: put a proxy in front "
@@ -102,27 +87,18 @@ def show(
     if proxy and (urlsplit(proxy).scheme not in ("http", "https") or not urlsplit(proxy).netloc):
         raise ConfigError(f"--proxy is an address such as https://lab.example/runs, not {proxy}")
     os.nice(_NICENESS)  # the runs have priority
+    shown = directories or (_DEFAULT_FOLDER,)
 
     def ready(url: str) -> None:
-        url += address_of(directories)
-        click.echo(f"the page is at {url}", err=err)
-        if browser and _has_display():
+        url += address_of(shown)
+        click.echo(f"the page is at {url}", err=stderr)
+        if not no_browser and _has_display():
             # open() may wait for the browser.
             threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
-    serve(directories, port, host, proxy, ready)
+    serve(shown, port, host, proxy, ready)
 
 
 def _has_display() -> bool:
     """Return whether a browser can open a window; otherwise Python would run a text browser."""
     return sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
-
-
-def main() -> None:
-    """Run `glue-view`."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
-    run(view)
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import click
 
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
@@ -171,6 +170,7 @@ def play(
         ConfigError: the agent has no plan.
     """
     from glue.cli.screen import read_marks
+    from glue.engine.experiment import steps
 
     def show(observation: Observation, reward: float, terminal: bool) -> None:
         marks = read_marks(glue.rl_agent_message("marks")) if plan and not terminal else ()
@@ -179,22 +179,10 @@ def play(
         screen.show(observation, reward, made, glue.rl_return(), title, marks)
 
     pause = 1.0 / speed if screen.live else 0.0
-    made, terminal = 0, False
+    made = 0
     with screen:
-        show(glue.rl_start().observation, 0.0, terminal)
-        while not terminal and (max_steps == 0 or glue.rl_num_steps() < max_steps):
+        show(glue.rl_start().observation, 0.0, False)
+        for made, step in enumerate(steps(glue, max_steps), 1):  # noqa: B007  # `show` reads it
             sleep(pause)
-            step = glue.rl_step()
-            made += 1
-            terminal = step.terminal
-            show(step.observation, step.reward, terminal)
+            show(step.observation, step.reward, step.terminal)
     return glue.rl_return(), glue.rl_num_steps()
-
-
-def main() -> None:
-    """Run `glue-watch`."""
-    run(watch)
-
-
-if __name__ == "__main__":
-    main()

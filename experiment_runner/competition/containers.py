@@ -27,8 +27,8 @@ import docker
 from experiment_runner.competition.jail import LABEL, check_engine, check_image, check_limits, jail, own_user
 from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starting import SOCKET, Launch, Running
-from experiment_runner.meeting.watchdog import spawn
+from experiment_runner.competition.starters import SOCKET, Launch, Running, Starter
+from experiment_runner.processes.watchdog import spawn
 from experiment_runner.store.layout import write_flushed
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
@@ -46,16 +46,8 @@ _PATIENCE_SECONDS: Final = 120.0
 _AGAIN_SECONDS: Final = 1.0
 
 _LACKS: Final = tuple(
-    os.strerror(number).lower()
-    for number in (
-        errno.ENOSPC,
-        errno.EDQUOT,
-        errno.ENOMEM,
-        errno.EMFILE,
-        errno.ENFILE,
-        errno.EAGAIN,
-        errno.EIO,
-    )
+    os.strerror(getattr(errno, name)).lower()
+    for name in ("ENOSPC", "EDQUOT", "ENOMEM", "EMFILE", "ENFILE", "EAGAIN", "EIO")
 )
 """Ends of answers in which an engine speaks of this machine, whatever it was asked to do."""
 
@@ -81,7 +73,7 @@ class _Unreachable(ConfigError):
     """No engine answers."""
 
 
-class Containers:
+class Containers(Starter):
     """Starts entrants that have an image.
 
     Args:
@@ -198,7 +190,7 @@ class Containers:
         return engine
 
 
-class Container:
+class Container(Running):
     """An entrant's container, for one trial of a task.
 
     Args:
@@ -218,14 +210,11 @@ class Container:
     """
 
     def __init__(self, container: Any, limits: Limits, log: Path, address: str, held: ExitStack) -> None:
+        super().__init__()
         self.log = log
-        self.reason: str | None = None
-        self.lost: str | None = None
-        self.offence: str | None = None
         self.held = held
         self._container = container
         self._memory = limits.memory
-        self._ended = threading.Event()
         self._stopped = False
         self._printed = _Printed(container.attach(stream=True), limits.log)
         # Not filtered by event type: podman names the types differently.
@@ -237,10 +226,6 @@ class Container:
         self._printed.start()
         self._watcher = threading.Thread(target=self._watch, name="container", daemon=True)
         self._watcher.start()
-
-    def wait(self, seconds: float) -> bool:
-        """Wait until it ends, at most `seconds`; return whether it has ended."""
-        return self._ended.wait(seconds)
 
     def stop(self) -> None:
         """Kill its processes, keep their output, and remove it.
@@ -255,7 +240,7 @@ class Container:
         def kill() -> None:
             with suppress(APIError):  # the container has ended
                 self._container.kill()
-            if not self._ended.is_set():
+            if not self._over.is_set():
                 self._watcher.join(_LAST_WORDS_SECONDS)  # news of its memory may be under way
             _remove(self._container)
 
@@ -302,27 +287,18 @@ class Container:
 
     def _end(self, reason: str) -> None:
         self.reason = self.reason or reason
-        self._ended.set()
+        self._over.set()
 
 
-class _NotStarted:
+class _NotStarted(Running):
     """A container that the engine could not make or start."""
 
-    lost: str | None = None
-    offence: str | None = None
-
     def __init__(self, log: Path, reason: str) -> None:
-        self.log = log
-        self.reason: str | None = reason
+        super().__init__()
+        self.reason = reason
+        self._over.set()
         with suppress(OSError):
             write_flushed(log, f"{reason}\n")
-
-    def wait(self, seconds: float) -> bool:
-        """Return True: it has ended."""
-        return True
-
-    def stop(self) -> None:
-        """Do nothing."""
 
 
 class _Printed(threading.Thread):

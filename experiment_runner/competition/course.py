@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiment_runner.competition.file import load_competition
 from experiment_runner.competition.records.journal import ADD, ENTER, EXCLUDE, RERUN, Act, act, acts_of
-from experiment_runner.competition.settings import Competition
+from experiment_runner.competition.records.seal import check_seal, record_acts, seal
+from experiment_runner.competition.settings import Competition, load_competition
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.layout import COMPETITION_FILE
+from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
 
@@ -65,10 +67,10 @@ class Course:
         return [trial for trial in self.counting.values() if trial.parts[0] not in excluded]
 
     def admitted(self, competition: Competition) -> Competition:
-        """Return a competition whose entrants are those who were admitted, with what their names stood for.
+        """Return the competition with what the names of its entrants stood for when they were admitted.
 
         Raises:
-            ExperimentError: it has other entrants.
+            ExperimentError: it has other entrants, or other rules than at the start.
         """
         entrants = self.entrants
         named = {one.name for one in competition.entrants}
@@ -78,8 +80,18 @@ class Course:
                 if name in named
                 else f"entrant {name} takes part in the run: put it back in the competition's file"
             )
+        if _rules(self.competition) != _rules(competition):
+            raise ExperimentError(
+                "the run was begun with other limits, or another number of trials, episodes or steps: put "
+                "those of its competition.toml back, or choose another directory"
+            )
         known = tuple(replace(one, id=entrants[one.name].id) for one in competition.entrants)
         return replace(competition, entrants=known)
+
+    def planned(self, spec: TrialSpec) -> bool:
+        """Return whether a trial was planned from the start, and not by an act since."""
+        late = self.entrants[spec.id.parts[0]].act == ADD
+        return not late and spec.id not in self.reruns
 
     def with_reruns(self, specs: Sequence[TrialSpec]) -> list[TrialSpec]:
         """Return the competition's trials and their repetitions, which have the same levels and seeds.
@@ -105,29 +117,38 @@ class Course:
             raise ExperimentError(f"{entrant} is excluded: {self.excluded[entrant]}")
         return act(EXCLUDE, entrant, reason)
 
-    def repetition(self, trial: str, over: Mapping[str, object], reason: str) -> Act:
-        """Return the act of playing a trial of the competition again.
+    def repetitions(self, trials: Iterable[str], over: Collection[str], reason: str) -> list[Act]:
+        """Return the acts of playing trials of the competition again.
 
         Args:
-            trial: its id, as in `alice/easy/0`.
-            over: the trials that are over, by id.
+            trials: their ids, as in `alice/easy/0`.
+            over: ids of the trials that are over.
             reason: for it.
 
         Raises:
             ExperimentError: there is no such trial, or it is not over.
         """
-        counting = self.counting
-        found = counting.get(TrialId(trial))
-        if found is None:
-            raise ExperimentError(
-                f"there is no trial {trial}: give entrant, task and number, as in {next(iter(counting))}"
-            )
-        if found not in over:
-            raise ExperimentError(f"{trial} is not over: glue-compete run plays it anyway")
-        entrant, task, _ = found.parts
-        repeated = sum(one.parts[:2] == (entrant, task) for one in self.reruns)
-        again = TrialId.of(entrant, task, self.competition.trials + repeated)
-        return act(RERUN, trial, reason, trial=str(again))
+        made: list[Act] = []
+        counting, repeated = self.counting, list(self.reruns)
+        for trial in dict.fromkeys(trials):
+            found = counting.get(TrialId(trial))
+            if found is None:
+                raise ExperimentError(
+                    f"there is no trial {trial}: give entrant, task and number, as in {next(iter(counting))}"
+                )
+            if found not in over:
+                raise ExperimentError(f"{trial} is not over: glue-compete run plays it anyway")
+            entrant, task, _ = found.parts
+            number = self.competition.trials + sum(one.parts[:2] == (entrant, task) for one in repeated)
+            repeated.append(TrialId.of(entrant, task, number))
+            made.append(act(RERUN, trial, reason, trial=str(repeated[-1])))
+        return made
+
+
+def _rules(competition: Competition) -> object:
+    """Return the rules that are not part of the trials."""
+    tasks = [(task.name, task.episodes, task.steps) for task in competition.tasks]
+    return competition.limits, competition.trials, tasks
 
 
 def course_of(directory: Path) -> Course:
@@ -140,3 +161,22 @@ def course_of(directory: Path) -> Course:
     if not path.is_file():
         raise ExperimentError(f"{directory} holds no competition: glue-compete run makes one")
     return Course(load_competition(path, follow=False), acts_of(directory))
+
+
+def act_on(directory: Path, make: Callable[[Course, Results], list[Act]]) -> list[Act]:
+    """Append acts to the journal of a run, renew its seal, and return them.
+
+    Args:
+        directory: of the run.
+        make: returns the acts for what the run is now.
+
+    Raises:
+        ExperimentError: the directory holds no competition, is in use, was changed since it was sealed or
+            cannot be written to; or `make` raises it.
+    """
+    with Store.open(directory) as store:
+        seal(store)
+        check_seal(store)
+        made = make(course_of(directory), store)
+        record_acts(store, made)
+    return made

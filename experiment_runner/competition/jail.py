@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from experiment_runner.competition.settings import Limits
-from experiment_runner.competition.starting import SOCKET, Launch, variables
+from experiment_runner.competition.starters import SOCKET, Launch, variables
 from glue.errors import ConfigError, ExperimentError
 
 LABEL: Final = "glue.competition"
@@ -31,19 +31,15 @@ _SECCOMP: Final = Path(__file__).with_name("seccomp.json")
 """The system calls of a jail, in Docker's format. Not among them are `AF_VSOCK`, `io_uring` and others that
 the default of Docker 20.10 allows."""
 
-_MASKED: Final = (
-    *(
-        f"/proc/{name}"
-        for name in ("acpi", "asound", "kcore", "keys", "latency_stats", "sched_debug", "scsi")
-    ),
-    *(f"/proc/{name}" for name in ("timer_list", "timer_stats", "kallsyms", "kpagecount", "kpageflags")),
-    # The load of the whole machine, through which entrants could watch and signal each other.
-    *(
-        f"/proc/{name}"
-        for name in ("loadavg", "stat", "meminfo", "vmstat", "uptime", "zoneinfo", "buddyinfo")
-    ),
-    *(f"/proc/{name}" for name in ("interrupts", "softirqs", "schedstat", "diskstats", "pressure", "swaps")),
-    "/proc/sys/fs",
+_MASKED: Final = tuple(
+    f"/proc/{name}"
+    for name in (
+        *("acpi", "asound", "kcore", "keys", "latency_stats", "sched_debug", "scsi", "timer_list"),
+        *("timer_stats", "kallsyms", "kpagecount", "kpageflags"),
+        # The load of the whole machine, through which entrants could watch and signal each other.
+        *("loadavg", "stat", "meminfo", "vmstat", "uptime", "zoneinfo", "buddyinfo", "interrupts"),
+        *("softirqs", "schedstat", "diskstats", "pressure", "swaps", "sys/fs"),
+    )
 )
 """Paths of /proc that are empty in a jail; with those of `_hidden` they replace the engine's own list, and
 include it."""

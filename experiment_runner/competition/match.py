@@ -1,8 +1,8 @@
 """One entrant plays one trial of a task, in a worker process with its own hub.
 
-Workers are forked, see `experiment_runner.meeting.warm` and `experiment_runner.executors.local`. Environment
-and hub are in this process; the entrant's program, which the starter starts, can reach only the socket that
-it is launched with.
+Workers are forked, see `experiment_runner.processes.warm` and `experiment_runner.executors.workers`.
+Environment and hub are in this process; the entrant's program, which the starter starts, can reach only the
+socket that it is launched with.
 """
 
 from __future__ import annotations
@@ -16,22 +16,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple, get_args
 
-from experiment_runner.competition.inside import InsideEnvironment
-from experiment_runner.competition.outside import InFolder, Outside, gate_for
+from experiment_runner.competition.environment import RecordedEnvironment
 from experiment_runner.competition.records.replay import made_for
-from experiment_runner.competition.secret import agent_seed
 from experiment_runner.competition.settings import Entrant, Gate, Limits
-from experiment_runner.competition.starting import Launch, Running, Starter
+from experiment_runner.competition.starters import Launch, Running, Starter, gate_for, starter_for
+from experiment_runner.competition.trials import agent_seed
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended, Lost, Recorded, decode
-from experiment_runner.executors.local import serve
-from experiment_runner.meeting.scratch import SOCKET as SHARED
-from experiment_runner.meeting.scratch import scratch_folder
+from experiment_runner.executors.workers import serve
 from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.processes.scratch import SOCKET as SHARED
+from experiment_runner.processes.scratch import scratch_folder
 from experiment_runner.store.database import reported
 from glue.client.experiment import RemoteExperiment, connect_over
 from glue.console import one_line
-from glue.errors import ConfigError, ExperimentError, GlueError, HubClosed, PeerFailed, PeerLost
+from glue.errors import ExperimentError, GlueError, HubClosed, PeerFailed, PeerLost
 from glue.hub.config import DEFAULT_SESSION, Bind, HubConfig
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
@@ -104,30 +103,6 @@ REPORTS: Final[Mapping[str, type[Report]]] = {kind.__name__: kind for kind in ge
 """The reports of a match, by name."""
 
 
-def starter_for(entrant: Entrant) -> Starter:
-    """Return the starter for an entrant of this kind.
-
-    Raises:
-        ConfigError: it needs a package that is not installed.
-    """
-    if entrant.image is not None:
-        try:
-            from experiment_runner.competition.containers import Containers
-        except ImportError:
-            raise ConfigError(
-                f"entrant {entrant.name} has an image, and containers need Docker's SDK: "
-                "pip install 'glue-rl[compete]'"
-            ) from None
-        return Containers()
-    if entrant.key is not None:
-        return Outside()
-    if entrant.folder is not None:
-        return InFolder()
-    from experiment_runner.competition.programs import Programs
-
-    return Programs()
-
-
 def play(
     match: Match,
     send: Callable[[Report], None],
@@ -144,33 +119,34 @@ def play(
         starter: starts the entrant.
         clock: returns seconds; measures the entrant's time.
     """
-    failure = None
     try:
-        _Playing(match, send, clock).play(starter)
+        why = _Playing(match, send, clock).play(starter)
+        if why is not None:
+            send(Forfeited(one_line(why, _MAX_REASON) or "no reason was given"))
+        send(Ended(None))
     except _Unfinished as error:
         send(Lost(str(error)))
-        return
     except GlueError as error:
-        failure = str(error)
+        send(Ended(str(error)))
     except Exception as error:
         traceback.print_exception(error)
-        failure = f"{type(error).__name__}: {error}"
-    send(Ended(failure))
+        send(Ended(f"{type(error).__name__}: {error}"))
 
 
 class _Playing:
     def __init__(self, match: Match, send: Callable[[Report], None], clock: Callable[[], float]) -> None:
         self._match = match
-        self._send = send
         self._clock = clock
         self._record = ActionWriter(lambda piece: send(Played(piece)))
+        self._environment = RecordedEnvironment(
+            made_for(match.spec), self._record, match.spec, lambda result: send(Recorded(result, None))
+        )
         self._joined = threading.Event()
         self._over = threading.Event()
-        self._ended: str | None = None  # why the entrant cannot continue, set by its watcher
 
-    def play(self, starter: Starter) -> None:
+    def play(self, starter: Starter) -> str | None:
+        """Play; return why the entrant forfeits, or None."""
         match = self._match
-        environment = made_for(match.spec)
         # A program in a folder is not told its session, so it gets the default; this hub has no other.
         session = match.entrant.name if match.entrant.folder is None else DEFAULT_SESSION
         with ExitStack() as stack:
@@ -179,76 +155,66 @@ class _Playing:
                 bind = Bind(launch.hub, frozenset({Role.AGENT}), frozenset({session}))
             else:
                 bind = gate_for(match.entrant, match.gate)
-            config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits.time)
-            with ExitStack() as meeting:
-                hub = meeting.enter_context(Hub(config, clock=self._clock))
-                inside = InsideEnvironment(
-                    hub,
-                    session,
-                    environment,
-                    self._record,
-                    match.spec,
-                    lambda result: self._send(Recorded(result, None)),
-                )
-                meeting.enter_context(hub.in_background())
-                glue = connect_over(InsideTransport(hub), session, on_notice=self._notice)
-                meeting.enter_context(glue)
+            config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits)
+            with ExitStack() as joined:
+                hub = joined.enter_context(Hub(config, clock=self._clock).in_background())
+                transport = InsideTransport(hub, {Role.ENVIRONMENT: self._environment}, session)
+                glue = joined.enter_context(connect_over(transport, session, on_notice=self._notice))
                 running = starter.start(match.entrant, match.limits, launch)
                 stack.callback(running.stop)
-                meeting.callback(self._over.set)
+                joined.callback(self._over.set)
                 threading.Thread(
                     target=self._watch, args=(running, glue), name="entrant", daemon=True
                 ).start()
-                why = self._play_or_forfeit(glue, inside, running)
+                why = self._play_or_forfeit(glue, running)
             # The hub has said goodbye.
             if why is None:
                 running.wait(_FAREWELL_SECONDS)
                 running.stop()
                 why = running.offence and f"its program {running.offence}"
-            if why is not None:
-                self._send(Forfeited(one_line(why, _MAX_REASON) or "no reason was given"))
+            return why
 
     def _launch(self, scratch: Path, session: str) -> Launch:
-        shared = self._match.entrant.folder
-        if shared is None:
-            folder = scratch / SHARED
-        else:
-            _, task, trial = self._match.spec.id.parts
-            folder = shared / f"{task}-{trial}"
-        with reported(f"cannot make the folder of {self._match.entrant.name}"):
+        match, folder = self._match, scratch / SHARED
+        if match.entrant.folder is not None:
+            _, task, trial = match.spec.id.parts
+            folder = match.entrant.folder / f"{task}-{trial}"
+        with reported(f"cannot make the folder of {match.entrant.name}"):
             folder.mkdir(mode=0o711, exist_ok=True)
-            self._match.log.parent.mkdir(parents=True, exist_ok=True)
-        return Launch(folder, session, self._match.log, self._match.run)
+            match.log.parent.mkdir(parents=True, exist_ok=True)
+        return Launch(folder, session, match.log, match.run)
 
-    def _play_or_forfeit(
-        self, glue: RemoteExperiment, inside: InsideEnvironment, running: Running
-    ) -> str | None:
-        """Play; return why the entrant forfeits, or None."""
+    def _play_or_forfeit(self, glue: RemoteExperiment, running: Running) -> str | None:
+        environment = self._environment
         try:
             glue.wait_for_players(lambda missing: None)
             glue.rl_init(agent_seed(self._match.spec))
-            self._episodes(glue, inside)
+            self._episodes(glue)
             self._record.close()
         except (PeerLost, PeerFailed, HubClosed) as error:
-            if inside.failure is not None:
-                raise ExperimentError(f"the environment failed: {inside.failure}") from error
-            why = self._reason(error, inside, running)
+            if environment.failure is not None:
+                raise ExperimentError(f"the environment failed: {environment.failure}") from error
+            why = str(error)
+            if environment.refusal is not None:
+                why = f"its action was refused: {environment.refusal}"
+            elif isinstance(error, PeerLost) and running.wait(_LAST_WORDS_SECONDS):
+                why = f"its program {running.reason}"
             if running.lost is not None:
                 raise _Unfinished(running.lost) from error
-            inside.end(Ending.VOID)
+            environment.end(Ending.VOID)
             self._record.close()
             return why
         with suppress(GlueError):  # everything is played; the agent's cleanup changes nothing
             glue.rl_cleanup()
         return None
 
-    def _episodes(self, glue: RemoteExperiment, inside: InsideEnvironment) -> None:
-        steps, spec = self._match.steps, self._match.spec
-        while inside.steps < steps if steps else inside.episodes < spec.episodes:
+    def _episodes(self, glue: RemoteExperiment) -> None:
+        steps, spec, played = self._match.steps, self._match.spec, self._environment
+        while played.steps < steps if steps else played.episodes < spec.episodes:
             # RL_num_steps is 1 after the start: this allows all remaining steps.
-            left = steps - inside.steps + 1 if steps else spec.max_steps
+            left = steps - played.steps + 1 if steps else spec.max_steps
             glue.rl_episode(min(left, spec.max_steps or left))
-            inside.end(Ending.CUTOFF)
+            played.end(Ending.CUTOFF)
 
     def _notice(self, event: Event, role: Role, name: str) -> None:
         if role is Role.AGENT and event is Event.JOINED:
@@ -256,26 +222,18 @@ class _Playing:
 
     def _watch(self, running: Running, glue: RemoteExperiment) -> None:
         """Watch, in a separate thread, for the end of the entrant's program, and for one that never joins."""
-        limit = self._match.limits.time.start_seconds
+        limit = self._match.limits.start_seconds
         began = self._clock()
         while not self._over.is_set():
-            ended = running.wait(_LOOK_SECONDS)
-            if self._over.is_set():
-                return
-            if ended:
-                self._ended = f"its program {running.reason}"
+            if running.wait(_LOOK_SECONDS):
+                why = f"its program {running.reason}"
             elif not self._joined.is_set() and self._clock() - began > limit:
-                self._ended = f"it did not connect within {limit:g} s"
-            if self._ended is not None:
-                glue.give_up(self._ended)
-                return
-
-    def _reason(self, error: GlueError, inside: InsideEnvironment, running: Running) -> str:
-        if inside.refusal is not None:
-            return f"its action was refused: {inside.refusal}"
-        if isinstance(error, PeerLost) and running.wait(_LAST_WORDS_SECONDS):
-            return f"its program {running.reason}"
-        return str(error)
+                why = f"it did not connect within {limit:g} s"
+            else:
+                continue
+            if not self._over.is_set():
+                glue.give_up(why)
+            return
 
 
 def prepare(environments: Sequence[str]) -> None:

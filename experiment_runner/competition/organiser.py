@@ -16,30 +16,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
 from experiment_runner.competition.course import Course, course_of
-from experiment_runner.competition.match import (
-    MODULE,
-    REPORTS,
-    Forfeited,
-    Match,
-    Played,
-    Report,
-    starter_for,
-)
-from experiment_runner.competition.outside import gate_for
-from experiment_runner.competition.records.journal import ADD, ENTER, Act, act, text_of
+from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Played, Report
+from experiment_runner.competition.records.journal import ENTER, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
-from experiment_runner.competition.records.seal import add_trials, broken, record_outcome, seal
-from experiment_runner.competition.secret import trials
+from experiment_runner.competition.records.seal import add_trials, check_seal, record_outcome, seal
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
-from experiment_runner.competition.starting import name_of_run
-from experiment_runner.executors.dispatch import Dispatcher
+from experiment_runner.competition.starters import gate_for, name_of_run, starter_for
+from experiment_runner.competition.trials import trials
+from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Recorded
-from experiment_runner.executors.local import LocalExecutor
+from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.plan.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
@@ -78,42 +70,32 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
         course = course_of(directory)
     else:
         trials(competition, secret)  # a mistake in a task is found before an engine is asked for anything
-        course = Course(
-            competition, admissions(competition, competition.entrants, ENTER, "in the file at the start")
-        )
+        acts = admissions(competition, competition.entrants, ENTER, "in the file at the start")
+        course = Course(competition, acts)
     specs = course.with_reruns(trials(course.admitted(competition), secret))
     with reported(f"cannot write to {directory}"):
         directory.mkdir(mode=_FOR_ITS_OWNER, parents=True, exist_ok=True)
-    if exists:
-        store = Store.open(directory)
-    else:
-        about_it = json.dumps(about(), indent=2) + "\n"
-        files = {COMPETITION_FILE: text, ABOUT_FILE: about_it, JOURNAL_FILE: text_of(course.acts)}
-        store = Store.create(directory, specs, files)
-    try:
+    with ExitStack() as stack:
+        if exists:
+            store = stack.enter_context(Store.open(directory))
+        else:
+            about_it = json.dumps(about(), indent=2) + "\n"
+            files = {COMPETITION_FILE: text, ABOUT_FILE: about_it, JOURNAL_FILE: text_of(course.acts)}
+            store = stack.enter_context(Store.create(directory, specs, files))
         with reported(f"cannot write to {directory}"):
             directory.chmod(_FOR_ITS_OWNER)
-        if _rules(course.competition) != _rules(competition):
-            raise ExperimentError(
-                f"{directory} was begun with other limits, or another number of trials, episodes or steps: "
-                "put those of its competition.toml back, or choose another directory"
-            )
-        recorded = {record.spec.id: record.spec for record in store.trials()}
-        new = [spec for spec in specs if spec.id not in recorded]
-        played = [spec for spec in specs if spec.id in recorded]
-        if played != list(recorded.values()) or any(_planned(spec, course) for spec in new):
-            why = _difference(list(recorded.values()), specs)
+        recorded = [record.spec for record in store.trials()]
+        known = {spec.id for spec in recorded}
+        new = [spec for spec in specs if spec.id not in known]
+        if [spec for spec in specs if spec.id in known] != recorded or any(map(course.planned, new)):
+            why = _difference(recorded, specs)
             raise ExperimentError(f"{directory} is the run of another competition: {why}")
-        if seal(store) and (changed := broken(store)):
-            raise ExperimentError(
-                f"{changed} in {directory} were changed since they were written: put them back"
-            )
+        seal(store)
+        check_seal(store)
         if new:
             add_trials(store, new)
         store.record_event("resume" if exists else "start", program())
-    except BaseException:
-        store.close()
-        raise
+        stack.pop_all()
     return store
 
 
@@ -183,23 +165,19 @@ def hold(store: Store, competition: Competition, workers: int, say: Say, gate: G
     left = [record.spec for record in store.trials() if record.spec.id in wanted - over]
     waiting = matches(competition, left, store.directory, gate)
     if waiting:
-        _check_entrants(waiting)
+        for match in {match.entrant.name: match for match in waiting}.values():
+            check(match.entrant, match.limits)
+            if match.entrant.key is not None:
+                gate_for(match.entrant, match.gate)
+            starter_for(match.entrant).sweep(match.run)
         executor = LocalExecutor(workers, MODULE, REPORTS, warm=[task.env for task in competition.tasks])
         with _Matches(store, waiting, len(over), say) as played, Interrupts() as interrupts:
             Dispatcher(executor, played, interrupts).run(match.spec.id for match in waiting)
     return sum(record.failure is not None for record in store.trials() if record.spec.id in wanted)
 
 
-def _check_entrants(waiting: Iterable[Match]) -> None:
-    for match in {match.entrant.name: match for match in waiting}.values():
-        check(match.entrant, match.limits)
-        if match.entrant.key is not None:
-            gate_for(match.entrant, match.gate)
-        starter_for(match.entrant).sweep(match.run)
-
-
 class _Matches(Closing):
-    """Stores the reports of matches; see `experiment_runner.executors.dispatch.Collector`."""
+    """Stores the reports of matches; see `experiment_runner.executors.dispatcher.Collector`."""
 
     def __init__(self, store: Store, matches: Iterable[Match], over: int, say: Say) -> None:
         self._store = store
@@ -274,18 +252,6 @@ class _Matches(Closing):
         self._say(f"[{self._over}/{self._total}] {trial_id}: {how}")
 
 
-def _rules(competition: Competition) -> object:
-    """Return the rules that are not part of the trials."""
-    tasks = [(task.name, task.episodes, task.steps) for task in competition.tasks]
-    return competition.limits, competition.trials, tasks
-
-
-def _planned(spec: TrialSpec, course: Course) -> bool:
-    """Return whether a trial that a run lacks was planned from the start, and not by an act since."""
-    late = course.entrants[spec.id.parts[0]].act == ADD
-    return not late and spec.id not in course.reruns
-
-
 def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> str:
     ours, theirs = ({spec.id: spec for spec in some} for some in (recorded, specs))
     hint = "choose another directory"
@@ -295,7 +261,15 @@ def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> st
                 f"{'only this one' if trial_id in theirs else 'only that one'} has trial {trial_id}: {hint}"
             )
     changed = next(trial_id for trial_id in ours if ours[trial_id] != theirs[trial_id])
-    if _without_secret(ours[changed]) == _without_secret(theirs[changed]):
+    was, now = ours[changed], theirs[changed]
+    if was.environment and now.environment and was.seed == now.seed:
+        options, others = was.environment.options, now.environment.options
+        for name in options.keys() & others.keys():
+            if options[name] != others[name]:
+                return (
+                    f"{name} of {changed} was {options[name]}, not {others[name]}: put that back, or {hint}"
+                )
+    if _without_secret(was) == _without_secret(now):
         return f"its levels were drawn from another secret seed: put that back, or {hint}"
     return f"trial {changed} is another one: {hint}"
 

@@ -1,36 +1,48 @@
-"""The settings of a competition: tasks, entrants and their limits. `file` reads them from TOML."""
+"""A competition as its organiser describes it, and its TOML file; docs/competition.md describes both."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated, Any, Final
 
+from msgspec import Meta
+
+from experiment_runner.plan.toml import SettingError, converted, is_option, naming_lines, parse, read, shown
+from glue.errors import ConfigError, ExperimentError
 from glue.hub.config import TimeLimits
-from glue.options import Value
+from glue.plugins.loading import located
 
-_MEBIBYTE = 2**20
+_MEBIBYTE: Final = 2**20
+
+_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,63}")
+_SIZE: Final = re.compile(r"(\d{1,12})([kmg]?)")
+_UNITS: Final = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30}
+_SIZES: Final = ("memory", "tmp", "shm", "log")
+_LEAST_MEMORY: Final = 6 * _MEBIBYTE  # of Docker's containers
+
+_Count = Annotated[int, Meta(ge=1, lt=2**31)]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """Limits of an entrant in each trial of a task. Those of memory, processors, processes and disks hold
-    only for containers; a trusted command may use all of this machine.
+class Limits(TimeLimits):
+    """Limits of an entrant in each trial of a task: its time, and the rest, which holds only for containers;
+    a trusted command may use all of this machine.
 
     Args:
-        time: per answer, per task and to start; see `glue.hub.config.TimeLimits`.
         memory: bytes, swap included.
-        cpus: cores.
-        pids: processes and threads.
+        cpus: cores; the least is Docker's.
+        pids: processes and threads, the container's init among them.
         tmp: bytes of files in /tmp.
         shm: bytes of shared memory.
         log: bytes of its output that are kept.
     """
 
-    time: TimeLimits = field(default_factory=TimeLimits)
     memory: int = 1024 * _MEBIBYTE
-    cpus: float = 1.0
-    pids: int = 128
+    cpus: Annotated[float, Meta(ge=0.01, le=1024)] = 1.0
+    pids: Annotated[int, Meta(ge=2, lt=2**22)] = 128
     tmp: int = 64 * _MEBIBYTE
     shm: int = 64 * _MEBIBYTE
     log: int = _MEBIBYTE
@@ -46,15 +58,18 @@ class Task:
         options: its constructor options, as in the file, without those drawn from the secret seed.
         episodes: number of episodes; 0 if `steps` limits the task.
         steps: number of steps, over as many episodes as it takes; 0 if `episodes` limits the task.
-        max_steps: the step limit of an episode, see `Experiment.rl_episode`; 0 for none.
+        max_steps: the step limit of an episode, see `Experiment.rl_episode`; 0 for none. RL_num_steps is 1
+            before the first step, so the least limit is 2.
+        levels: files of the levels of its trials, the first again after the last; none if a seed is drawn.
     """
 
     name: str
     env: str
-    options: Mapping[str, Value] = field(default_factory=dict)
-    episodes: int = 0
-    steps: int = 0
-    max_steps: int = 0
+    options: Mapping[str, Any] = field(default_factory=dict)
+    episodes: _Count = 0
+    steps: _Count = 0
+    max_steps: Annotated[int, Meta(ge=2, lt=2**31)] = 0
+    levels: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +131,124 @@ class Competition:
         seed_env: the environment variable of the secret seed; None if it is in a file.
     """
 
-    name: str
-    trials: int
-    tasks: tuple[Task, ...]
-    entrants: tuple[Entrant, ...]
+    name: str = ""
+    trials: Annotated[int, Meta(ge=1, le=1000)] = 1
+    tasks: tuple[Task, ...] = ()
+    entrants: tuple[Entrant, ...] = ()
     limits: Limits = field(default_factory=Limits)
     seed_file: Path | None = None
     seed_env: str | None = None
+
+
+def load_competition(path: Path, *, follow: bool = True) -> Competition:
+    """Return the competition that a TOML file describes.
+
+    Raises:
+        ConfigError: the file cannot be read or describes no competition; the message names file and line.
+    """
+    try:
+        text = read(path, "competition", follow)
+    except ExperimentError as error:
+        raise ConfigError(str(error)) from error
+    return parse_competition(text, path)
+
+
+def parse_competition(text: str, path: Path) -> Competition:
+    """Return the competition that a TOML text describes.
+
+    Args:
+        text: of the file.
+        path: of the file, for messages; other files are relative to its folder.
+
+    Raises:
+        ConfigError: it describes no competition; the message names file and line.
+    """
+    try:
+        with naming_lines(path, text):
+            return _competition(parse(text), path)
+    except ExperimentError as error:
+        raise ConfigError(str(error)) from error
+
+
+def _competition(document: Mapping[str, Any], path: Path) -> Competition:
+    folder = path.parent
+    own = {**document, "tasks": [], "entrants": [], "limits": {}}
+    found = converted(Competition, own, "a competition", base=folder)
+    if (found.seed_file is None) == (found.seed_env is None):
+        raise SettingError(
+            'name the secret from which levels are drawn, once: seed_file = "secret.txt", '
+            'or seed_env = "COMPETITION_SEED"',
+            "seed_env",
+        )
+    return replace(
+        found,
+        name=found.name or path.stem,
+        tasks=tuple(_task(name, table, folder) for name, table in _tables(document, "tasks")),
+        entrants=tuple(_entrant(name, table, folder) for name, table in _tables(document, "entrants")),
+        limits=_limits(document.get("limits", {})),
+    )
+
+
+def _tables(document: Mapping[str, Any], kind: str) -> list[tuple[str, Any]]:
+    """Return the tables of the tasks or the entrants, with their names."""
+    tables = document.get(kind)
+    if not isinstance(tables, dict) or not tables:
+        raise SettingError(f"a competition needs {kind}, each a table, as in: [{kind}.NAME]", kind)
+    for name in tables:
+        if not _NAME.fullmatch(name):
+            raise SettingError(
+                f"{name!r} cannot be a name: up to 64 letters, digits and _ . + - are allowed, and the "
+                "first is a letter, a digit or _",
+                kind,
+                name,
+            )
+    return list(tables.items())
+
+
+def _task(name: str, table: object, folder: Path) -> Task:
+    where = ("tasks", name)
+    task = converted(Task, table, f"task {name}", *where, base=folder, name=name)
+    if (task.episodes == 0) == (task.steps == 0):
+        raise SettingError(f"task {name} needs its length: episodes = 20, or steps = 100_000", *where)
+    for option, value in task.options.items():
+        if not is_option(value):
+            raise SettingError(
+                f"option {option!r:.80} takes a number, a string, true or false, not {shown(value)}",
+                *(*where, "options", option),
+            )
+    return replace(task, env=located(task.env, folder))
+
+
+def _entrant(name: str, table: object, folder: Path) -> Entrant:
+    where = ("entrants", name)
+    entrant = converted(Entrant, table, f"entrant {name}", *where, base=folder, name=name, id="")
+    if sum(map(bool, (entrant.image, entrant.command, entrant.key, entrant.folder))) != 1:
+        raise SettingError(
+            f'entrant {name} needs one of image = "alice/agent:1", command = ["glue-agent", "sample"], '
+            'key = "carol.pub" and folder = "/run/entrants/dave"',
+            *where,
+        )
+    return entrant
+
+
+def _limits(table: Any) -> Limits:
+    sizes = {}
+    if isinstance(table, dict):
+        sizes = {key: _size(key, table[key]) for key in _SIZES if key in table}
+        table = table | sizes
+    try:
+        return converted(Limits, table, "[limits]", "limits")
+    except ConfigError as error:  # of a time; the message begins with its name
+        raise SettingError(str(error), "limits", str(error).partition(" ")[0]) from error
+
+
+def _size(key: str, value: object) -> int:
+    text = str(value) if isinstance(value, str) or (type(value) is int and 0 < value < 2**62) else ""
+    match = _SIZE.fullmatch(text.lower())
+    size = int(match[1]) * _UNITS[match[2]] if match else 0
+    if size < (_LEAST_MEMORY if key == "memory" else 1):
+        least = ' of at least "6m"' if key == "memory" else ""
+        raise SettingError(
+            f'{key} is a number of bytes{least}, as in: {key} = "512m"; not {shown(value)}', "limits", key
+        )
+    return size

@@ -15,7 +15,7 @@ from queue import SimpleQueue
 from types import FrameType, TracebackType
 from typing import Final, Self
 
-import glue.doors.forks  # noqa: F401  # for the handlers that are set here
+import glue.system.forks  # noqa: F401  # for the handlers that are set here
 
 GRACE_SECONDS: Final = 0.5
 """Maximum time for which a signal is deferred, in seconds."""

@@ -1,65 +1,46 @@
-"""One trial as a job for an executor, and the reports that it sends back.
+"""A trial as a job, and the reports that it sends back, in order, to the only process that writes the store.
 
-Reports are sent, in order, to the only process that writes the store, see
-`experiment_runner.executors.dispatch`. Between processes, jobs and reports are a stream of msgpack values.
+Between processes, jobs and reports are a stream of msgpack values.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple, TypeVar, get_args
 
 import msgpack
 
-from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.recording import Recorder
-from experiment_runner.executors.trial import BEGINNING, Start, run_trial
-from experiment_runner.meeting.players import Meeting, open_experiment
-from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.executors.settings import RunConfig
 from experiment_runner.plan.plan import TrialSpec
-from experiment_runner.store.database import StorageError
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Reading
-from glue.console import show_failure
-from glue.engine.experiment import Experiment
-from glue.errors import (
-    ConfigError,
-    ExperimentError,
-    GlueError,
-    HubUnreachable,
-    PeerFailed,
-    Refused,
-    described,
-)
-from glue.trajectory import TrajectoryWriter
+from glue.errors import ExperimentError
 
 _T = TypeVar("_T")
-
-_LONG_SECONDS: Final = 5.0
-"""Seconds after which it is reported that an episode has not ended."""
 
 _MAX_MESSAGE: Final = 2**31 - 1
 """Maximum size of a job or report in bytes; most of it is a checkpoint."""
 
 
-class Job(NamedTuple):
-    """A trial to start or to continue.
-
-    spec              the trial
-    meeting           the way in which its players are connected
-    start             the episode and checkpoint from which it starts
-    checkpoint_every  number of episodes between checkpoints; 0 for none
-    questions         messages to send to the agent after each episode, and each recorded step
-    metrics           the agent's metrics to record; None for none
+class Start(NamedTuple):
+    """The start of a trial: the episode after which it starts, the checkpoint, and the sums of the steps and
+    of the returns until then.
     """
 
+    after: int = 0
+    checkpoint: Checkpoint | None = None
+    steps: int = 0
+    reward: float = 0.0
+
+
+BEGINNING = Start()
+
+
+class Job(NamedTuple):
+    """A trial to start or to continue: its spec, the settings of its execution, and where it starts."""
+
     spec: TrialSpec
-    meeting: Meeting
+    config: RunConfig
     start: Start = BEGINNING
-    checkpoint_every: int = 0
-    questions: tuple[str, ...] = ()
-    metrics: MetricsPlan | None = None
 
 
 class Recorded(NamedTuple):
@@ -97,7 +78,7 @@ class Joined(NamedTuple):
     seeded: bool = True
 
 
-class Met(NamedTuple):
+class AtHub(NamedTuple):
     """The trial is played at the hub of this URL, in this session."""
 
     hub: str
@@ -111,7 +92,7 @@ class Playing(NamedTuple):
     steps: int | None
 
 
-class Said(NamedTuple):
+class Line(NamedTuple):
     """A line to show to the user."""
 
     line: str
@@ -129,137 +110,7 @@ class Lost(NamedTuple):
     why: str
 
 
-Report = Recorded | Voided | Happened | Joined | Met | Playing | Said | Ended | Lost
-
-
-def run_job(
-    job: Job,
-    send: Callable[[Report], None],
-    *,
-    interrupts: Interrupts | None = None,
-    recording: TrajectoryWriter | None = None,
-) -> None:
-    """Run a trial and send its reports, the last of which is `Ended`.
-
-    Args:
-        job: the trial to run.
-        send: called with each report; calls never overlap.
-        interrupts: lets the running episode end before Ctrl-C takes effect; None to not defer it.
-        recording: receives every step; None for no recording.
-
-    Raises:
-        StorageError: from `send`, when a report cannot be stored.
-        BrokenPipeError: from `send`, when its output is no longer read.
-        ConfigError, HubUnreachable, Refused: the running hub for the players cannot be found, does not answer
-            or does not admit this program. The trial has not failed: it can continue later.
-    """
-    lock = threading.Lock()  # the threads that watch players also report
-
-    def send_alone(report: Report) -> None:
-        with lock:
-            send(report)
-
-    failure = None
-    sender = _Sender(send_alone, job.start.after)
-    try:
-        with (
-            open_experiment(
-                job.spec,
-                job.meeting,
-                lambda line: send_alone(Said(line)),
-                lambda: sender.done,
-                lambda *player: send_alone(Joined(*player)),
-                lambda hub, session: send_alone(Met(hub, session)),
-            ) as glue,
-            watched(glue, lambda: sender.done, send_alone),
-        ):
-            run_trial(
-                glue,
-                job.spec,
-                sender,
-                start=job.start,
-                checkpoint_every=job.checkpoint_every,
-                interrupts=interrupts,
-                any_reward=job.meeting.any_reward,
-                recorder=None if recording is None else Recorder(recording, job.spec, glue, job.questions),
-                questions=job.questions,
-                metrics=job.metrics,
-            )
-    except (StorageError, BrokenPipeError, KeyboardInterrupt):
-        raise
-    except GlueError as error:
-        if job.meeting.hub.hub is not None and isinstance(error, ConfigError | HubUnreachable | Refused):
-            raise
-        if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
-            show_failure(error.__cause__)
-        failure = described(error)
-    except BaseException as error:
-        show_failure(error)
-        failure = described(error)
-    send_alone(Ended(failure))
-
-
-@contextmanager
-def watched(
-    glue: Experiment, done: Callable[[], int], send: Callable[[Report], None], seconds: float = _LONG_SECONDS
-) -> Iterator[None]:
-    """Report, as often as no episode has ended for so many seconds, how far the one under way is.
-
-    Args:
-        glue: plays in this thread.
-        done: returns the number of finished episodes.
-        send: called with each `Playing`, in another thread.
-        seconds: between two looks.
-    """
-    over = threading.Event()
-
-    def watch() -> None:
-        before = done()
-        while not over.wait(seconds):
-            now, steps = done(), glue.steps_under_way()
-            if now == before and steps != 0:  # 0: it is still being initialised
-                with suppress(OSError, KeyboardInterrupt):  # nobody reads the reports any more
-                    send(Playing(now + 1, steps))
-            before = now
-
-    watcher = threading.Thread(target=watch, name="watcher", daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        over.set()
-        watcher.join()
-
-
-class _Sender:
-    """Sink that sends a trial's results as reports.
-
-    Attributes:
-        done: the newest episode; initially the one after which the trial starts.
-    """
-
-    def __init__(self, send: Callable[[Report], None], done: int) -> None:
-        self._send = send
-        self.done = done
-
-    def record(
-        self,
-        result: EpisodeResult,
-        checkpoint: Checkpoint | None,
-        answers: tuple[Answer, ...],
-        metrics: tuple[Reading, ...],
-    ) -> None:
-        self._send(Recorded(result, checkpoint, answers, metrics))
-        self.done = result.episode
-
-    def void(self, episode: int, why: str) -> None:
-        self._send(Voided(episode, why))
-
-    def event(self, kind: str, text: str) -> None:
-        self._send(Happened(kind, text))
-
-    def say(self, line: str) -> None:
-        self._send(Said(line))
+Report = Recorded | Voided | Happened | Joined | AtHub | Playing | Line | Ended | Lost
 
 
 REPORTS: Final = {kind.__name__: kind for kind in get_args(Report)}

@@ -2,27 +2,12 @@
 
 from __future__ import annotations
 
+from experiment_runner.executors.job import BEGINNING, Start
 from experiment_runner.plan.metrics import ALL, MetricsPlan
 from experiment_runner.store.readings import Part, pack_parts, unpack_parts
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult, Reading
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, Unsupported
-
-
-def play_metered(glue: Experiment, max_steps: int, meter: Meter) -> bool:
-    """Run an episode like `Experiment.rl_episode`, and take the readings that are due during it."""
-    glue.rl_start()
-    step = 0
-    while max_steps == 0 or step + 1 < max_steps:
-        step = meter.next_after(step)
-        until = step + 1 if max_steps == 0 else min(step + 1, max_steps)  # RL_num_steps is 1 after the start
-        terminal = glue.rl_go_on(until)
-        reached = until == step + 1 if terminal is None else not terminal and glue.rl_num_steps() == step + 1
-        if reached:
-            meter.read(step)
-        if terminal is not None:
-            return terminal
-    return False
 
 
 class Meter:
@@ -31,24 +16,22 @@ class Meter:
     Args:
         glue: the experiment.
         plan: the readings to take.
-        steps, reward: sums over the episodes before the first one here.
-        saved: the result of `save` after the last of these episodes; empty if there is none.
+        start: of the trial.
 
     Attributes:
         each_step: whether metrics are read during episodes.
         missing: why there are no metrics; empty unless the agent turned out to have none.
 
     Raises:
-        ExperimentError: `saved` is damaged.
+        ExperimentError: the metrics of its checkpoint are damaged.
     """
 
-    def __init__(
-        self, glue: Experiment, plan: MetricsPlan, steps: int = 0, reward: float = 0.0, saved: bytes = b""
-    ) -> None:
+    def __init__(self, glue: Experiment, plan: MetricsPlan, start: Start = BEGINNING) -> None:
         self._glue = glue
         self._plan = plan
-        self._steps = steps
-        self._reward = reward
+        self._steps = start.steps
+        self._reward = start.reward
+        saved = start.checkpoint.metrics if start.checkpoint else b""
         self._before = unpack_parts(saved)  # the parts before the episode under way
         self._parts = dict(self._before)
         self._readings: list[Reading] = []
@@ -60,22 +43,30 @@ class Meter:
         self._readings = []
         self._parts = dict(self._before)
 
-    def next_after(self, step: int) -> int:
-        """Return the next step after `step` with a reading, counted in the episode, whose start is 0."""
-        every = self._plan.every
-        return step + every - (self._steps + step) % every
+    def rl_episode(self, max_steps: int) -> bool:
+        """Run an episode like `Experiment.rl_episode`, with the readings that are due during it."""
+        self._glue.rl_start()
+        step, terminal = 0, None
+        while terminal is None and (max_steps == 0 or step + 1 < max_steps):
+            step += self._plan.every - (self._steps + step) % self._plan.every
+            # RL_num_steps is 1 after the start, and stays as it is at the end of the episode.
+            terminal = self._glue.rl_go_on(min(step + 1, max_steps or step + 1))
+            if not terminal and self._glue.rl_num_steps() == step + 1:
+                self.after(step)
+        return bool(terminal)
 
-    def read(self, step: int) -> None:
-        """Read the metrics after a step of the episode."""
+    def after(self, step: int) -> None:
+        """Read the metrics after a step of the episode, counted from 1, if they are due."""
         at = self._steps + step
-        self._read(at // self._plan.every, at, {TOTAL_REWARD: self._reward + self._glue.rl_return()})
+        if at % self._plan.every == 0:
+            self._read(at // self._plan.every, at, {TOTAL_REWARD: self._reward + self._glue.rl_return()})
 
     def end(self, result: EpisodeResult) -> tuple[Reading, ...]:
         """End an episode, with a reading of its last step if one is due; return all of its readings."""
         if not self.each_step:
             self._read(result.episode, self._steps + result.steps, {})
-        elif self.next_after(result.steps - 1) == result.steps:
-            self.read(result.steps)
+        else:
+            self.after(result.steps)
         self._steps += result.steps
         self._reward += result.episode_return
         self._before = self._parts

@@ -2,7 +2,7 @@
 
 Ray's own retries are disabled: they would repeat a trial from its start, and report again episodes that are
 already stored. Instead, a lost trial continues from its checkpoint, see
-`experiment_runner.executors.dispatch`.
+`experiment_runner.executors.dispatcher`.
 
 Jobs and reports cross the cluster as bytes, in our own encoding. Ray itself uses pickle for other data, such
 as its exceptions, so the members of a cluster must trust each other.
@@ -29,9 +29,9 @@ from experiment_runner.executors.job import (
     decode,
     decode_job,
     encode,
-    run_job,
     unpack,
 )
+from experiment_runner.executors.trial import run_job
 from glue.errors import ConfigError, ExperimentError
 
 _BATCH_SECONDS: Final = 0.1
@@ -40,7 +40,7 @@ _ADDRESS: Final = re.compile(r"(?P<host>.+):(?P<port>\d{1,5})")
 
 
 class RayExecutor:
-    """Executor on the processors of a cluster; see `experiment_runner.executors.dispatch.Executor`.
+    """Executor on the processors of a cluster; see `experiment_runner.executors.dispatcher.Executor`.
 
     Args:
         address: the address of the cluster; None for the one that Ray finds, or else one on this machine.

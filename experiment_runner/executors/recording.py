@@ -14,7 +14,7 @@ from experiment_runner.executors.metering import Meter
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import ask
 from glue.engine.engine import role_seed
-from glue.engine.experiment import Experiment
+from glue.engine.experiment import Experiment, steps
 from glue.errors import PeerLost, Unsupported
 from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
 from glue.wire.messages import Role
@@ -131,21 +131,15 @@ class Recorder:
         self._answers.clear()
         self._ask()
         self._writer.start(observation)
-        number, due = 1, 0 if meter is None else meter.next_after(0)
-        while max_steps == 0 or number < max_steps:
-            step = self._glue.rl_step()
+        for number, step in enumerate(steps(self._glue, max_steps), 1):
             self._ask()
             ended = step.terminal and not step.truncated
             self._writer.step(action, step.reward, step.observation, ended)
-            if meter is not None and number == due and not ended:
-                meter.read(number)
-                due = meter.next_after(number)
             if ended:
                 return True
-            if step.terminal:
-                break
+            if meter is not None:
+                meter.after(number)
             action = step.action
-            number += 1
         self._writer.cutoff()
         return False
 

@@ -1,54 +1,45 @@
-"""Run the unfinished trials of a plan: in this process, in workers on this machine, or on a Ray cluster."""
+"""Run the unfinished trials of a run: in this process, in workers on this machine, or on a Ray cluster."""
 
 from __future__ import annotations
 
+import math
 import sys
-from dataclasses import dataclass, field
+import time
+from collections.abc import Collection, Iterable
+from functools import partial
+from typing import Final
 
-from experiment_runner.executors.dispatch import Dispatcher, Executor
+from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import GRACE_SECONDS, Interrupts
-from experiment_runner.executors.job import Job, Report
-from experiment_runner.executors.local import LocalExecutor
+from experiment_runner.executors.job import (
+    BEGINNING,
+    AtHub,
+    Ended,
+    Happened,
+    Job,
+    Joined,
+    Line,
+    Playing,
+    Recorded,
+    Report,
+    Start,
+    Voided,
+)
+from experiment_runner.executors.opening import go_back, remaining
 from experiment_runner.executors.ray_cluster import RayExecutor
-from experiment_runner.executors.resume import remaining
-from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend
-from experiment_runner.executors.trial import Start
-from experiment_runner.executors.trials import Trials
-from experiment_runner.meeting.players import Meeting
-from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.executors.settings import Backend, RunConfig
+from experiment_runner.executors.trial import run_job
+from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
+from experiment_runner.store.meetings import LiveSession, Meetings
+from experiment_runner.store.records import OF_PLAYERS, UNSEEDED
 from experiment_runner.store.store import Store
+from glue.closing import Closing
 from glue.trajectory import TrajectoryWriter
 
-
-@dataclass(frozen=True, slots=True)
-class RunConfig:
-    """Settings of the execution of a run, which do not affect its results.
-
-    Args:
-        meeting: the way in which the players of each trial are connected.
-        checkpoint_every: number of episodes between checkpoints; 0 for none.
-        backend: the kind of machine on which trials run.
-        workers: maximum number of concurrent trials, each in its own process, or of a job array's tasks. None
-            for one trial at a time in this process, one for each processor of a cluster, or no limit.
-        address: address of the Ray cluster; None for the one that Ray finds, or one on this machine.
-        questions: messages to send to the agent after each episode, and each recorded step.
-        metrics: the agents' metrics to record; None for none.
-    """
-
-    meeting: Meeting = field(default_factory=Meeting)
-    checkpoint_every: int = CHECKPOINT_EVERY
-    backend: Backend = Backend.LOCAL
-    workers: int | None = None
-    address: str | None = None
-    questions: tuple[str, ...] = ()
-    metrics: MetricsPlan | None = None
-
-    @property
-    def parallel(self) -> bool:
-        """Whether trials run in processes of their own, at the same time."""
-        return self.backend is not Backend.LOCAL or self.workers is not None
+_COMMIT_SECONDS: Final = 0.05
+"""Seconds after a commit in which episodes are kept for the next one; a crash loses them."""
 
 
 def run_trials(
@@ -77,20 +68,17 @@ def run_trials(
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
 
-    def make_job(spec: TrialSpec, start: Start) -> Job:
-        return Job(spec, config.meeting, start, config.checkpoint_every, config.questions, config.metrics)
-
     reporter.start(store.trials())
     executor = _executor(config)
     try:
         # Workers defer Ctrl-C themselves, so wait a little longer for their reports.
         grace = GRACE_SECONDS if executor is None else GRACE_SECONDS + 0.3
         trial_ids = [trial.trial_id for trial in remaining(store)]
-        with Trials(store, reporter, make_job) as trials, Interrupts(grace) as interrupts:
+        with RunCollector(store, config, reporter) as collector, Interrupts(grace) as interrupts:
             if executor is None:
-                trials.run_here(trial_ids, interrupts, recording)
+                collector.run_here(trial_ids, interrupts, recording)
             else:
-                Dispatcher(executor, trials, interrupts).run(trial_ids)
+                Dispatcher(executor, collector, interrupts).run(trial_ids)
     except KeyboardInterrupt:
         if sys.stderr.isatty():
             reporter.say("")  # after the terminal's ^C
@@ -109,3 +97,156 @@ def _executor(config: RunConfig) -> Executor[Job, Report] | None:
     if config.backend is Backend.RAY:
         return RayExecutor(config.address, config.workers)
     return None if config.workers is None else LocalExecutor(config.workers)
+
+
+class RunCollector(Closing):
+    """Collector that stores the reports of trials, then shows them.
+
+    Only it writes results to the store of a run. Episodes that end within a short time of each other are
+    committed together, and then reported: every reported episode is on disk.
+
+    Args:
+        store: open for writing.
+        config: the settings of the run's execution.
+        reporter: shows progress.
+    """
+
+    def __init__(self, store: Store, config: RunConfig, reporter: Reporter) -> None:
+        self._store = store
+        self._config = config
+        self._reporter = reporter
+        self._meetings = Meetings(store.directory)
+        self._specs: dict[str, TrialSpec] = {record.spec.id: record.spec for record in store.trials()}
+        self._unstored: list[tuple[str, Recorded]] = []
+        self._stored_at = -math.inf
+        self._said: set[str] = set()  # texts about all trials of a player
+        self._joined: dict[tuple[str, str], str] = {}
+        """The names of players that joined from outside, by trial and role."""
+
+    def close(self) -> None:
+        """Remove the information for observers of trials in progress."""
+        self._meetings.close()
+
+    def run_here(
+        self, trial_ids: Iterable[str], interrupts: Interrupts, recording: TrajectoryWriter | None = None
+    ) -> None:
+        """Run trials in this process, one after the other.
+
+        Args:
+            trial_ids: the unfinished trials.
+            interrupts: lets the running episode end before Ctrl-C takes effect.
+            recording: receives every step; None for no recording.
+
+        Raises:
+            StorageError: a report cannot be stored.
+        """
+        for trial_id in trial_ids:
+            send = partial(self._take_here, trial_id)
+            try:
+                run_job(self.start(trial_id), send, interrupts=interrupts, recording=recording)
+            finally:
+                self._meetings.end(trial_id)
+                self.commit()
+
+    def _take_here(self, trial_id: str, report: Report) -> None:
+        if isinstance(report, Ended):
+            self.end(trial_id, report.failure)
+        else:
+            self.take(trial_id, report)
+        # A line may come from a thread that watches players; only this thread writes to the store.
+        if isinstance(report, Recorded) and time.monotonic() - self._stored_at >= _COMMIT_SECONDS:
+            self.commit()
+
+    def may_start(self, trial_id: str, running: Collection[str]) -> bool:
+        """Return True: trials are independent."""
+        return True
+
+    def start(self, trial_id: str) -> Job:
+        """Return the job of a trial, starting from its newest checkpoint."""
+        spec = self._specs[trial_id]
+        found = self._store.checkpoint(trial_id)
+        start = BEGINNING if found is None else Start(*found, *self._store.sums_until(trial_id, found[0]))
+        self._reporter.begin(spec, start.after, start.steps)
+        return Job(spec, self._config, start)
+
+    def take(self, trial_id: str, report: Report) -> None:
+        """Store a report; an episode without a checkpoint is kept for `commit`."""
+        match report:
+            case Recorded():
+                self._unstored.append((trial_id, report))
+                if report.checkpoint is not None:
+                    self.commit()
+            case AtHub(hub, session):
+                self._meetings.begin(trial_id, LiveSession(hub, session))
+            case Playing(episode, steps):
+                self._reporter.playing(self._specs[trial_id], episode, steps)
+            case Line(line):
+                self._say(trial_id, line)
+            case Voided(episode, why):
+                self.commit()
+                self._store.record_void(trial_id, episode, why)
+                self._say(trial_id, f"episode {episode} is void: {why}")
+            case Happened(kind, text):
+                self._record_event(trial_id, kind, text)
+            case Joined(role, name, program, seeded):
+                self.commit()
+                player = self._store.record_player(trial_id, role, name, program)
+                self._joined[trial_id, role] = name
+                spec = self._specs[trial_id]
+                self._reporter.rename(spec, spec.named(self._joined))
+                self._say(trial_id, f"{player} joined")
+                if not seeded:
+                    self._note_unseeded(f"the {player} takes no seed: its random numbers cannot be repeated")
+
+    def commit(self) -> None:
+        """Store the episodes that are kept, then report them."""
+        unstored, self._unstored = self._unstored, []
+        if unstored:
+            self._store.record_all([(trial_id, *recorded) for trial_id, recorded in unstored])
+            for trial_id, recorded in unstored:
+                self._reporter.episode(self._specs[trial_id], recorded.result)
+            self._stored_at = time.monotonic()
+
+    def lost(self, trial_id: str, why: str) -> int:
+        """Store that a trial was lost; return the number of its episodes that are stored."""
+        self._meetings.end(trial_id)
+        self._record_event(trial_id, "lost", why)
+        return self._store.done(trial_id)
+
+    def starts_again(self, trial_id: str) -> bool:
+        """Prepare a lost trial to continue from its newest checkpoint; return False if it is finished."""
+        for trial in remaining(self._store):
+            if trial.trial_id == trial_id:
+                go_back(self._store, trial)
+                self._say(trial_id, f"it {trial.course}")
+                return True
+        return False
+
+    def end(self, trial_id: str, failure: str | None) -> None:
+        """Store that a trial is over, and the reason if it has failed."""
+        self._meetings.end(trial_id)
+        self.commit()
+        if failure is not None:
+            self._store.record_failure(trial_id, failure)
+            self._say(trial_id, f"Error: {failure}")
+        self._reporter.end(self._specs[trial_id])
+
+    def _record_event(self, trial_id: str, kind: str, text: str) -> None:
+        self.commit()
+        self._store.record_event(kind, text, trial_id)
+        if kind in OF_PLAYERS:
+            if text in self._said:
+                return
+            self._said.add(text)
+        self._say(trial_id, text)
+
+    def _note_unseeded(self, line: str) -> None:
+        """Record and show, once in the run, that a player takes no seed."""
+        if not any(event.kind == UNSEEDED and event.text == line for event in self._store.events()):
+            self._store.record_event(UNSEEDED, line)
+            self._reporter.say(line)
+
+    def _say(self, trial_id: str, text: str) -> None:
+        name = self._specs[trial_id].named(self._joined)
+        for line in text.splitlines():
+            self._reporter.say(line if len(self._specs) == 1 else f"{name}: {line}")

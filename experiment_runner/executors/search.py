@@ -16,16 +16,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from experiment_runner.analysis.stats import interquartile_mean
-from experiment_runner.executors.resume import (
-    check_sources,
-    go_back,
-    lengthen,
-    open_trials,
-    remaining,
-    sources_of,
-)
-from experiment_runner.executors.run import RunConfig, run_trials
+from experiment_runner.executors.opening import Definition, go_back, lengthen, open_run, remaining
+from experiment_runner.executors.run import run_trials
 from experiment_runner.executors.samplers import Configuration, Score, sampler_of
+from experiment_runner.executors.settings import RunConfig
 from experiment_runner.plan.file import dump_plan
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec, plain, trial_seed
@@ -92,14 +86,14 @@ def tune(
 
 
 def _open(directory: Path, plan: Plan, specs: Sequence[TrialSpec], say: Callable[[str], None]) -> Store:
-    text, sources = dump_plan(plan), sources_of([*plan.agents, *plan.environments])
+    text = dump_plan(plan)
 
     def check(store: Store) -> None:
         if read_text(directory / PLAN_FILE) != text:
             raise ExperimentError(f"{directory} is of another plan: choose another folder, or its own plan")
-        check_sources(directory, sources)
 
-    return open_trials(directory, specs, {PLAN_FILE: text}, check, sources=sources, say=say)
+    players = [*plan.agents, *plan.environments]
+    return open_run(directory, Definition(specs, {PLAN_FILE: text}, players, check), say=say)
 
 
 def _search(
@@ -111,7 +105,7 @@ def _search(
     say: Callable[[str], None],
 ) -> _Chosen:
     """Return an agent with the options of its best configuration."""
-    space = tune.space.get(sweep.label)
+    space = tune.agents.get(sweep.label)
     if space is None:
         return _Chosen(sweep, "")
     sampler = sampler_of(tune, space, trial_seed(plan.seed, sweep.label))

@@ -1,20 +1,33 @@
-"""One trial: from a spec and an experiment's verbs to a stream of episode results.
+"""One trial: the players are connected, its episodes played, and every result is reported.
 
-It does not depend on where agent and environment run, nor on the use of the results.
+How the trial is played depends neither on where agent and environment run, nor on the use of the results.
 """
 
 from __future__ import annotations
 
 import math
+import threading
 import time
-from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple, Protocol
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Final
 
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.metering import Meter, play_metered
+from experiment_runner.executors.job import (
+    Ended,
+    Happened,
+    Job,
+    Line,
+    Playing,
+    Recorded,
+    Report,
+    Start,
+    Voided,
+)
+from experiment_runner.executors.metering import Meter
+from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.recording import Recorder
-from experiment_runner.plan.metrics import MetricsPlan
-from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.store.database import StorageError
 from experiment_runner.store.records import (
     Answer,
     Checkpoint,
@@ -24,133 +37,168 @@ from experiment_runner.store.records import (
     ask,
     measured,
 )
+from glue.console import show_failure
 from glue.engine.experiment import Experiment
-from glue.errors import GlueError, PeerLost, Unsupported
+from glue.errors import (
+    ConfigError,
+    GlueError,
+    HubUnreachable,
+    PeerFailed,
+    PeerLost,
+    Refused,
+    Unsupported,
+    described,
+)
+from glue.trajectory import TrajectoryWriter
 
-
-class Sink(Protocol):
-    """Receiver of the results of a trial, which it stores in order."""
-
-    def record(
-        self,
-        result: EpisodeResult,
-        checkpoint: Checkpoint | None,
-        answers: tuple[Answer, ...],
-        metrics: tuple[Reading, ...],
-    ) -> None:
-        """Store a finished episode, with the checkpoint and the agent's answers after it, if any, and its
-        metrics.
-
-        The sink may hold an episode back, to store it together with later ones.
-        """
-        ...
-
-    def void(self, episode: int, why: str) -> None:
-        """Record that an attempt at an episode does not count."""
-        ...
-
-    def event(self, kind: str, text: str) -> None:
-        """Record any other event that matters to the results."""
-        ...
-
-    def say(self, line: str) -> None:
-        """Show a line to the user."""
-        ...
-
-
-class Start(NamedTuple):
-    """The start of a trial: the episode after which it starts, the checkpoint, and the sums of the steps and
-    of the returns until then.
-    """
-
-    after: int = 0
-    checkpoint: Checkpoint | None = None
-    steps: int = 0
-    reward: float = 0.0
-
-
-BEGINNING = Start()
+_LONG_SECONDS: Final = 5.0
+"""Seconds after which it is reported that an episode has not ended."""
 
 _PROGRESS_SECONDS: Final = 5.0
 
 
+def run_job(
+    job: Job,
+    send: Callable[[Report], None],
+    *,
+    interrupts: Interrupts | None = None,
+    recording: TrajectoryWriter | None = None,
+) -> None:
+    """Run a trial and send its reports, the last of which is `Ended`.
+
+    Args:
+        job: the trial to run.
+        send: called with each report; calls never overlap.
+        interrupts: lets the running episode end before Ctrl-C takes effect; None to not defer it.
+        recording: receives every step; None for no recording.
+
+    Raises:
+        StorageError: from `send`, when a report cannot be stored.
+        BrokenPipeError: from `send`, when its output is no longer read.
+        ConfigError, HubUnreachable, Refused: the running hub for the players cannot be found, does not answer
+            or does not admit this program. The trial has not failed: it can continue later.
+    """
+    lock = threading.Lock()  # the threads that watch players also report
+    done = job.start.after
+
+    def send_alone(report: Report) -> None:
+        nonlocal done
+        with lock:
+            send(report)
+        if isinstance(report, Recorded):
+            done = report.result.episode
+
+    failure = None
+    try:
+        with (
+            open_experiment(job.spec, job.config.placement, send_alone, lambda: done) as glue,
+            watched(glue, lambda: done, send_alone),
+        ):
+            run_trial(glue, job, send_alone, interrupts=interrupts, recording=recording)
+    except (StorageError, BrokenPipeError, KeyboardInterrupt):
+        raise
+    except GlueError as error:
+        if job.config.placement.hub.hub is not None and isinstance(
+            error, ConfigError | HubUnreachable | Refused
+        ):
+            raise
+        if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
+            show_failure(error.__cause__)
+        failure = described(error)
+    except BaseException as error:
+        show_failure(error)
+        failure = described(error)
+    send_alone(Ended(failure))
+
+
+@contextmanager
+def watched(
+    glue: Experiment, done: Callable[[], int], send: Callable[[Report], None], seconds: float = _LONG_SECONDS
+) -> Iterator[None]:
+    """Report, as often as no episode has ended for so many seconds, how far the one under way is.
+
+    Args:
+        glue: plays in this thread.
+        done: returns the number of finished episodes.
+        send: called with each `Playing`, in another thread.
+        seconds: between two looks.
+    """
+    over = threading.Event()
+
+    def watch() -> None:
+        before = done()
+        while not over.wait(seconds):
+            now, steps = done(), glue.steps_under_way()
+            if now == before and steps != 0:  # 0: it is still being initialised
+                with suppress(OSError, KeyboardInterrupt):  # nobody reads the reports any more
+                    send(Playing(now + 1, steps))
+            before = now
+
+    watcher = threading.Thread(target=watch, name="watcher", daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watcher.join()
+
+
 def run_trial(
     glue: Experiment,
-    spec: TrialSpec,
-    sink: Sink,
+    job: Job,
+    send: Callable[[Report], None],
     *,
-    start: Start = BEGINNING,
-    checkpoint_every: int = 0,
-    recorder: Recorder | None = None,
     interrupts: Interrupts | None = None,
-    any_reward: bool = False,
-    questions: Sequence[str] = (),
-    metrics: MetricsPlan | None = None,
+    recording: TrajectoryWriter | None = None,
 ) -> None:
-    """Run the episodes of `spec` after `start`, until its number of episodes or of steps is reached.
+    """Run the episodes of a trial after its start, until its number of episodes or of steps is reached.
 
     When a player is lost, the episode is void and is run again. If both players have the capability `save`,
     they are first restored from the newest checkpoint, or initialised, and repeat the episodes since then; so
     the results are those of a trial without the loss.
 
-    Once all episodes are stored, the trial is finished, even if its cleanup fails.
+    Once all episodes are reported, the trial is finished, even if its cleanup fails.
 
     Args:
         glue: the connected experiment.
-        spec: the trial.
-        sink: receives the results.
-        start: the episode and checkpoint to start from.
-        checkpoint_every: episodes between checkpoints; 0 for none.
-        recorder: records every step, also of void episodes; None for no recording.
+        job: the trial. If it does not accept any reward, an episode whose return is infinite or NaN ends it;
+            single rewards are checked by `glue`, see `experiment_runner.executors.rewards`.
+        send: called with each report.
         interrupts: lets the running episode end, followed by a checkpoint, before Ctrl-C takes effect; None
             to not defer it.
-        any_reward: whether rewards may be infinite or NaN. If not, an episode whose return is infinite or NaN
-            ends the trial; single rewards are checked by `glue`, see `experiment_runner.meeting.rewards`.
-        questions: messages to send to the agent after each episode.
-        metrics: the agent's metrics to record; None for none.
+        recording: receives every step, also of void episodes; None for no recording.
 
     Raises:
-        GlueError: the trial cannot continue. The results that the sink has received remain valid.
+        GlueError: the trial cannot continue. The results that were reported remain valid.
         KeyboardInterrupt: as `Interrupts.deferred`.
     """
-    interrupts = interrupts or Interrupts()
-    _Trial(
-        glue, spec, sink, start, checkpoint_every, recorder, interrupts, any_reward, questions, metrics
-    ).run()
+    _Trial(glue, job, send, interrupts or Interrupts(), recording).run()
 
 
 class _Trial:
     def __init__(
         self,
         glue: Experiment,
-        spec: TrialSpec,
-        sink: Sink,
-        start: Start,
-        checkpoint_every: int,
-        recorder: Recorder | None,
+        job: Job,
+        send: Callable[[Report], None],
         interrupts: Interrupts,
-        any_reward: bool,
-        questions: Sequence[str],
-        metrics: MetricsPlan | None,
+        recording: TrajectoryWriter | None,
     ) -> None:
         self._glue = glue
-        self._spec = spec
-        self._sink = sink
-        self._start = start
-        self._every = checkpoint_every
-        self._recorder = recorder
+        self._spec, self._config, self._start = job
+        self._send = send
         self._interrupts = interrupts
-        self._any_reward = any_reward
-        self._questions = questions
-        saved = start.checkpoint.metrics if start.checkpoint else b""
-        self._meter = None if metrics is None else Meter(glue, metrics, start.steps, start.reward, saved)
-        self._done = start.after
-        self._steps = start.steps  # in the episodes done
+        config = job.config
+        self._recorder = (
+            Recorder(recording, job.spec, glue, config.questions) if recording is not None else None
+        )
+        self._meter = Meter(glue, config.metrics, job.start) if config.metrics is not None else None
+        self._done = job.start.after
+        self._steps = job.start.steps  # in the episodes done
         self._since: list[EpisodeResult] = []  # the episodes run after `start`, oldest first
         self._can_save: bool | None = None
         self._unsaved = ""  # the reason why no checkpoint can be taken
-        self._warned = False
-        self._told = False  # whether the lack of metrics was reported
+        self._warned: set[str] = set()  # kinds of events that are reported once
 
     def run(self) -> None:
         with self._interrupts.deferred():
@@ -178,14 +226,14 @@ class _Trial:
                 if self._meter is not None:
                     self._meter.begin()
                 result = self._episode(self._done + 1, self._steps, self._play)
-                answers = ask(self._glue, self._questions)
+                answers = ask(self._glue, self._config.questions)
                 metrics = self._readings(result)
             except PeerLost as error:
                 if self._can_save:
                     raise
                 # Players that cannot be restored continue as they are; the hub initialises new ones.
                 self._void(error)
-                self._sink.event("replaced", "the lost player's learning is lost, too")
+                self._report("replaced", "the lost player's learning is lost, too")
                 continue
             # Read only once, so that the trial never stops without taking a checkpoint.
             stopping = self._interrupts.requested
@@ -198,22 +246,19 @@ class _Trial:
         meter = self._meter if self._meter is not None and self._meter.each_step else None
         if self._recorder is not None:
             return self._recorder.rl_episode(max_steps, meter)
-        return (
-            self._glue.rl_episode(max_steps) if meter is None else play_metered(self._glue, max_steps, meter)
-        )
+        return (self._glue if meter is None else meter).rl_episode(max_steps)
 
     def _readings(self, result: EpisodeResult) -> tuple[Reading, ...]:
         """Return the readings of an episode's metrics; say once if the agent has none."""
         if self._meter is None:
             return ()
         readings = self._meter.end(result)
-        if self._meter.missing and not self._told:
-            self._told = True
-            self._sink.event("unmetered", f"no metrics are recorded: {self._meter.missing}")
+        if self._meter.missing:
+            self._warn("unmetered", f"no metrics are recorded: {self._meter.missing}")
         return readings
 
     def _void(self, error: PeerLost) -> None:
-        self._sink.void(self._done + 1, str(error))
+        self._send(Voided(self._done + 1, str(error)))
 
     def _clean_up(self) -> None:
         """Clean up; an error is recorded, but does not affect the results."""
@@ -221,7 +266,7 @@ class _Trial:
             self._glue.rl_cleanup()
         except (GlueError, SystemExit) as error:
             why = str(error) if isinstance(error, GlueError) else f"SystemExit: {error}"
-            self._sink.event("cleanup", f"all episodes are stored, but cleaning up failed: {why}")
+            self._report("cleanup", f"all episodes are stored, but cleaning up failed: {why}")
 
     def _replay(self) -> None:
         """Bring both players to the current state of this trial."""
@@ -243,7 +288,7 @@ class _Trial:
             where = (
                 f"the checkpoint after episode {self._start.after}" if self._start.after else "the beginning"
             )
-            self._sink.say(f"restoring the players: repeating {total} episodes since {where}")
+            self._send(Line(f"restoring the players: repeating {total} episodes since {where}"))
         shown = time.perf_counter()
         steps = self._start.steps
         for number, before in enumerate(self._since, 1):
@@ -251,17 +296,17 @@ class _Trial:
             again = self._episode(before.episode, steps, self._glue.rl_episode)
             steps += before.steps
             if not again.repeats(before):
-                self._sink.event("differs", f"episode {before.episode} had another result when repeated")
+                self._report("differs", f"episode {before.episode} had another result when repeated")
             if time.perf_counter() - shown >= _PROGRESS_SECONDS:
                 shown = time.perf_counter()
-                self._sink.say(f"repeated {number} of {total} episodes")
+                self._send(Line(f"repeated {number} of {total} episodes"))
 
     def _episode(self, number: int, steps: int, play: Callable[[int], bool]) -> EpisodeResult:
         """Play an episode that begins after `steps` steps of the trial."""
         began = time.perf_counter()
         terminal = play(self._spec.step_limit(steps))
         result = measured(number, EndedEpisode(self._glue, terminal, time.perf_counter() - began))
-        if not (self._any_reward or math.isfinite(result.episode_return)):
+        if not (self._config.placement.any_reward or math.isfinite(result.episode_return)):
             raise GlueError(
                 f"the return of episode {number} is {result.episode_return}: the environment gave a reward "
                 "that is not a finite number (a run can be told to accept any reward)"
@@ -276,20 +321,21 @@ class _Trial:
         stopping: bool,
     ) -> bool:
         """Store a result, with a checkpoint if one is due; return whether both players are still there."""
-        checkpoint, lost = None, False
+        checkpoint, lost, every = None, False, self._config.checkpoint_every
         self._steps += result.steps
         last = self._spec.finished_by(result.episode, self._steps)
-        due = self._every > 0 and result.episode % self._every == 0
+        due = every > 0 and result.episode % every == 0
         if not self._can_save:
             if due:
-                self._warn()
+                why = f"no checkpoints: {self._unsaved}; should the run be interrupted, it starts over"
+                self._warn("unsaved", why)
         elif due or last or stopping:
             try:
                 checkpoint = self._save()
             except PeerLost as error:
-                self._sink.event("lost", str(error))
+                self._report("lost", str(error))
                 lost = True
-        self._sink.record(result, checkpoint, answers, metrics)
+        self._send(Recorded(result, checkpoint, answers, metrics))
         self._done = result.episode
         if checkpoint is None:
             if self._can_save:
@@ -308,10 +354,11 @@ class _Trial:
             self._unsaved = str(error)
             return None
 
-    def _warn(self) -> None:
-        """Warn, when the first checkpoint is due, that it cannot be taken."""
-        if not self._warned:
-            self._warned = True
-            self._sink.event(
-                "unsaved", f"no checkpoints: {self._unsaved}; should the run be interrupted, it starts over"
-            )
+    def _warn(self, kind: str, text: str) -> None:
+        """Report an event, once in the trial."""
+        if kind not in self._warned:
+            self._warned.add(kind)
+            self._report(kind, text)
+
+    def _report(self, kind: str, text: str) -> None:
+        self._send(Happened(kind, text))

@@ -25,9 +25,9 @@ from experiment_runner.store.layout import STREAMS, check_links, replace_flushed
 from experiment_runner.store.lock import RunLock, lock_holder
 from experiment_runner.store.results import Results
 from glue.console import one_line
-from glue.doors import chance, clock
 from glue.errors import ConfigError, ExperimentError, GlueError
 from glue.files import read_regular
+from glue.system import chance, clock
 
 _TOGETHER: Final = 500
 """Number of episodes written together; after a kill, as many may be written again."""

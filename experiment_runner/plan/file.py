@@ -36,18 +36,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Final
 
+from experiment_runner.plan.limits import BUDGETS, COUNTS
 from experiment_runner.plan.metrics import parse_metrics
-from experiment_runner.plan.plan import BUDGETS, COUNTS, ROLES, Plan, RoleSweep, Seeds, plain
-from experiment_runner.plan.toml import SettingError, check_keys, naming_lines, parse, read, shown
-from experiment_runner.plan.tuning import Range, parse_tune, tune_tables
+from experiment_runner.plan.plan import ROLES, Plan, RoleSweep, Seeds, plain
+from experiment_runner.plan.toml import SettingError, converted, naming_lines, parse, read, shown
+from experiment_runner.plan.tuning import Range, TunePlan, parse_tune
 from glue.options import Value
-
-_KEYS: Final = (*COUNTS, "seeds", "inside", "metrics_every", "metrics", "tune", *ROLES)
 
 
 def load_plan(path: Path, seeds: Seeds = "number", *, follow: bool = True) -> Plan:
@@ -71,21 +68,11 @@ def parse_plan(text: str, seeds: Seeds = "number") -> Plan:
     Raises:
         SettingError: it is not TOML, or a key or value does not belong in a plan.
     """
-    document = parse(text)
-    check_keys(document, _KEYS, "a plan")
-    counts = {name: document[name] for name in COUNTS if name in document}
-    inside = document.get("inside", [])
-    if not isinstance(inside, list):
-        raise SettingError('inside is a list of players, as in: inside = ["env"]', "inside")
-    return Plan(
-        **counts,
-        environments=_parse_roles("environments", document),
-        agents=_parse_roles("agents", document),
-        seeds=document.get("seeds", seeds),
-        inside=tuple(inside),
-        metrics=parse_metrics(document.get("metrics_every"), document.get("metrics")),
-        tune=parse_tune(document["tune"]) if "tune" in document else None,
-    )
+    table = {"seeds": seeds, "environments": {}, "agents": {}, **parse(text)}
+    metrics = parse_metrics(table.pop("metrics_every", None), table.get("metrics"))
+    tune = parse_tune(table["tune"]) if "tune" in table else None
+    roles = {role: _roles(role, table[role]) for role in ROLES}
+    return converted(Plan, {**table, **roles, "metrics": metrics, "tune": tune}, "a plan")
 
 
 def dump_plan(plan: Plan) -> str:
@@ -104,32 +91,30 @@ def dump_plan(plan: Plan) -> str:
         for sweep in getattr(plan, role):
             lines += ["", f"[{role}.{_toml_key(sweep.label)}]", f"class = {_toml_value(sweep.name)}"]
             lines += [f"{_toml_key(name)} = {_toml_value(value)}" for name, value in sweep.options.items()]
-    for label, table in (tune_tables(plan.tune) if plan.tune else {}).items():
-        lines += ["", f"[tune.agents.{_toml_key(label)}]" if label else "[tune]"]
-        lines += [f"{_toml_key(name)} = {_tune_value(value)}" for name, value in table.items()]
+    if plan.tune is not None:
+        lines += ["", "[tune]", *_lines(plan.tune, "agents")]
+        for label, space in plan.tune.agents.items():
+            lines += ["", f"[tune.agents.{_toml_key(label)}]"]
+            lines += [f"{_toml_key(name)} = {_toml_value(value)}" for name, value in space.items()]
     return "\n".join(lines) + "\n"
 
 
-def _tune_value(value: Any) -> str:
-    if not isinstance(value, Range):
-        return _toml_value(value)
-    ends = [f"{one.name} = {_toml_value(getattr(value, one.name))}" for one in fields(Range)]
-    return f"{{{', '.join(ends)}}}"
+def _lines(table: Range | TunePlan, *without: str) -> list[str]:
+    """Return a line of TOML for each field of a dataclass."""
+    names = [field.name for field in fields(table) if field.name not in without]
+    return [f"{name} = {_toml_value(getattr(table, name))}" for name in names]
 
 
-def _parse_roles(role: str, document: Mapping[str, Any]) -> tuple[RoleSweep, ...]:
-    tables = document.get(role, {})
+def _roles(role: str, tables: object) -> tuple[RoleSweep, ...]:
     if not isinstance(tables, dict):
-        raise SettingError(f"{role} are written as tables, as in: [{role}.NAME]", role)
-    return tuple(_parse_role(role, key, table) for key, table in tables.items())
+        raise SettingError(f"{role} must be tables, as in: [{role}.NAME]", role)
+    return tuple(_role(role, key, table) for key, table in tables.items())
 
 
-def _parse_role(role: str, key: str, table: object) -> RoleSweep:
+def _role(role: str, key: str, table: object) -> RoleSweep:
     if not isinstance(table, dict):
-        raise SettingError(f"{role}.{key} is written as a table, as in: [{role}.{key}]", role, key)
-    options: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in table.items()
-    }
+        raise SettingError(f"{role}.{key} must be a table, as in: [{role}.{key}]", role, key)
+    options = {name: tuple(value) if isinstance(value, list) else value for name, value in table.items()}
     name = options.pop("class", None)
     if name is not None and not isinstance(name, str):
         raise SettingError(f"class of {role}.{key} names one class, not {shown(name)}", role, key, "class")
@@ -143,7 +128,9 @@ def _toml_key(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_value(key)
 
 
-def _toml_value(value: Value | tuple[Value, ...]) -> str:
+def _toml_value(value: Value | tuple[Value, ...] | Range) -> str:
+    if isinstance(value, Range):
+        return f"{{{', '.join(_lines(value))}}}"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml_value, value))}]"
     if isinstance(value, str):

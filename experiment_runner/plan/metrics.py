@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from experiment_runner.plan.toml import SettingError, shown, whole
+from experiment_runner.plan.toml import SettingError, shown
 
 _MOST: Final = 2**31
 
@@ -61,11 +61,11 @@ def parse_metrics(every: object, table: object) -> MetricsPlan | None:
     """
     if every is None and table is None:
         return None
-    steps = whole(0 if every is None else every, range(_MOST), "metrics_every", "metrics_every")
+    steps = 0 if every is None else every
+    if type(steps) is not int or not 0 <= steps < _MOST:
+        raise SettingError(f"metrics_every must be a number of steps, not {shown(every)}", "metrics_every")
     if not isinstance(table, dict | None):
-        raise SettingError(
-            'metrics are written as a table, as in: [metrics], then "mean TD error" = "mean 10"', "metrics"
-        )
+        raise SettingError('metrics must be a table, as in: [metrics], then "mean TD error" = 10', "metrics")
     return MetricsPlan(steps, {name: _keep(name, value) for name, value in (table or {}).items()})
 
 

@@ -16,34 +16,28 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal
+
+from msgspec import Meta
 
 from experiment_runner.plan.ids import REMOTE, TrialId, label_of
+from experiment_runner.plan.limits import BUDGETS, COUNTS
 from experiment_runner.plan.metrics import MetricsPlan
-from experiment_runner.plan.toml import SettingError, is_option, shown, whole
+from experiment_runner.plan.toml import SettingError, is_option, shown
 from experiment_runner.plan.tuning import Range, TunePlan
 from glue.errors import ConfigError
 from glue.options import Value, parameters
 from glue.plugins.loading import file_in, located
 from glue.suggestions import did_you_mean
-from glue.wire.messages import Role
 
-COUNTS: Final = {  # a plan's numbers, with the range of each
-    "episodes": range(2**63),
-    "steps": range(2**63),
-    "max_steps": range(2**32),
-    "trials": range(1, 1_000_001),
-    "seed": range(2**63),
-}
-BUDGETS: Final = ("episodes", "steps")
-"""The lengths of a trial, of which a plan has one; the other is 0."""
 ROLES: Final = ("environments", "agents")
-PLAYERS: Final = {"agent": Role.AGENT, "env": Role.ENVIRONMENT}
-"""The players, by their names in options and plans."""
-
 
 Seeds = Literal["number", "id"]
 """The part of a trial from which its seed is derived, with the experiment's seed; `id` before 0.3.0."""
+
+
+def _in(name: str) -> Meta:
+    return Meta(ge=COUNTS[name][0], le=COUNTS[name][-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,45 +166,37 @@ class Plan:
         tune: the search for the agents' options; None for none.
 
     Raises:
-        SettingError: a number is out of range, or two agents or environments share a label.
+        SettingError: it has no length or two, two agents or environments share a label, or the search is
+            for an agent that it does not have.
     """
 
-    episodes: int = 0
-    max_steps: int = 0
-    trials: int = 1
-    seed: int = 0
+    episodes: Annotated[int, _in("episodes")] = 0
+    max_steps: Annotated[int, _in("max_steps")] = 0
+    trials: Annotated[int, _in("trials")] = 1
+    seed: Annotated[int, _in("seed")] = 0
     environments: tuple[RoleSweep, ...] = ()
     agents: tuple[RoleSweep, ...] = ()
     seeds: Seeds = "number"
-    inside: tuple[str, ...] = ()
-    steps: int = 0
+    inside: tuple[Literal["agent", "env"], ...] = ()
+    steps: Annotated[int, _in("steps")] = 0
     metrics: MetricsPlan | None = None
     tune: TunePlan | None = None
 
     def __post_init__(self) -> None:
-        for name, allowed in COUNTS.items():
-            whole(getattr(self, name), allowed, name, name)
         if bool(self.episodes) == bool(self.steps):
             raise SettingError(
                 "a trial ends after a number of episodes or of steps: a plan needs "
                 f"{'only ' if self.steps else ''}one of them, as in: episodes = 1000",
                 *(["steps"] if self.steps else []),
             )
-        if self.seeds not in get_args(Seeds):
-            raise SettingError(f"seeds must be 'number' or 'id', not {shown(self.seeds)}", "seeds")
-        listed: Iterable[object] = self.inside  # of a plan from a file
-        for player in listed:
-            if not isinstance(player, str) or player not in PLAYERS:
-                raise SettingError(f"inside lists any of {', '.join(PLAYERS)}, not {shown(player)}", "inside")
         for role in ROLES:
             labels = [sweep.label for sweep in getattr(self, role)]
             for label in labels:
                 if labels.count(label) > 1:
                     raise SettingError(f"two {role} are called {label}; label them apart", role, label)
-
         if self.tune is not None:
             labels = [sweep.label for sweep in self.agents]
-            for label in self.tune.space:
+            for label in self.tune.agents:
                 if label not in labels:
                     near = did_you_mean(label, labels)
                     raise SettingError(
@@ -295,7 +281,7 @@ def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
         SettingError: a class cannot be found, or an option is unknown to its class or has an invalid value.
     """
     for sweep in plan.agents if plan.tune else ():
-        space = plan.tune.space.get(sweep.label, {}) if plan.tune else {}
+        space = plan.tune.agents.get(sweep.label, {}) if plan.tune else {}
         ends = {name: (v.at(0), v.at(1)) if isinstance(v, Range) else v for name, v in space.items()}
         factory = _class_of(sweep, "agent", find)
         _check_sweep(RoleSweep(sweep.name, ends, sweep.label), factory, ("tune", "agents", sweep.label))

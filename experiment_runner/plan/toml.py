@@ -6,16 +6,33 @@ import re
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar, get_args, get_type_hints
+
+import msgspec
 
 from glue.errors import ExperimentError
 from glue.files import read_regular
 from glue.suggestions import did_you_mean
 
+_T = TypeVar("_T")
+
 _MAX_BYTES: Final = 2**22
 _SHOWN: Final = 80
 """Maximum number of characters of a wrong value in a message."""
+
+_WORDS: Final = {
+    " | null": "",
+    "Number out of range": "a number in range",
+    "`int`": "a whole number",
+    "`float`": "a number",
+    "`str`": "a string",
+    "`bool`": "true or false",
+    "`array`": "a list",
+    "`object`": "a table",
+}
+"""What msgspec's messages call the types of a value, and what a user does."""
 
 
 class SettingError(ExperimentError):
@@ -88,16 +105,65 @@ def check_keys(table: Mapping[str, Any], known: Collection[str], what: str, *whe
             raise SettingError(f"{what} has no {key!r:.80}{did_you_mean(key, known)}", *where, key)
 
 
-def whole(value: object, allowed: range, what: str, *keys: str) -> int:
-    """Return a value, if it is a whole number from a range.
+def converted(
+    kind: type[_T], table: object, what: str, /, *keys: str, base: Path = Path(), **given: object
+) -> _T:
+    """Return a table as a dataclass, whose annotations say what msgspec is to allow.
+
+    Args:
+        kind: the dataclass; every field is a key of the table, except those of `given`.
+        table: the table.
+        what: the table in messages, as in `task easy`.
+        keys: those that lead to the table.
+        base: the folder that relative paths begin at.
+        given: fields that are not the user's.
 
     Raises:
-        SettingError: it is not.
+        SettingError: it is no table, has an unknown key, lacks one, or has a value that is not allowed or a
+            string that is empty or cannot be printed.
     """
-    if type(value) is not int or value not in allowed:
-        span = f"from {allowed[0]} to {allowed[-1]}"
-        raise SettingError(f"{what} must be a whole number {span}, not {shown(value)}", *keys)
-    return value
+    if not isinstance(table, dict):
+        raise SettingError(f"{'.'.join(keys)} must be a table, as in: [{'.'.join(keys)}]", *keys)
+    check_keys(table, [field.name for field in fields(kind) if field.name not in given], what, *keys)  # type: ignore[arg-type]
+    for key, value in table.items():
+        if isinstance(value, str) and not (value and value.isprintable()):
+            raise SettingError(f"{key} must be a printable string, not {shown(value)}", *keys, key)
+    try:
+        return msgspec.convert({**table, **given}, kind, dec_hook=lambda _, path: _path_from(base, path))
+    except SettingError as error:
+        raise error.inside(*keys) from None
+    except msgspec.ValidationError as error:
+        raise _wrong_value(str(error), table, kind, what).inside(*keys) from None
+
+
+def _path_from(base: Path, path: object) -> Path:
+    if not isinstance(path, str):
+        raise TypeError("Expected `str`")
+    return base / path
+
+
+def _wrong_value(message: str, table: Mapping[str, Any], kind: type, what: str) -> SettingError:
+    """Return the error for a message of msgspec, such as "Expected `int` >= 2 - at `$.pids`"."""
+    message, _, place = message.partition(" - at `$")
+    path = re.findall(r"\.(\w+)|\[(\d+)\]", place)
+    keys = [key for key, _ in path if key]
+    if "missing required field" in message:
+        return SettingError(f"{what} needs {message.split('`')[1]}", *keys)
+    value: Any = table
+    for key, index in path:
+        value = value[key] if key else value[int(index)]
+    if message.startswith("Invalid enum value"):
+        near = did_you_mean(value, _choices(get_type_hints(kind)[keys[0]]))
+        return SettingError(f"{keys[0]} cannot be {shown(value)}{near}", *keys)
+    expected = message.partition(", got")[0].removeprefix("Expected ")
+    for word, ours in _WORDS.items():
+        expected = expected.replace(word, ours)
+    return SettingError(f"{place[1:-1]} must be {expected}, not {shown(value)}", *keys)
+
+
+def _choices(hint: Any) -> list[str]:
+    """Return the strings of the `Literal` that a type is, or is a list of."""
+    return [one for part in get_args(hint) for one in ([part] if isinstance(part, str) else _choices(part))]
 
 
 def is_option(value: object) -> bool:

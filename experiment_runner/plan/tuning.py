@@ -17,16 +17,15 @@ A range of whole numbers has `integer = true`; in a grid, a range has as many va
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
-from experiment_runner.plan.toml import SettingError, check_keys, is_option, shown, whole
+from msgspec import Meta
+
+from experiment_runner.plan.toml import SettingError, converted, is_option, shown
 from glue.options import Value
-from glue.suggestions import did_you_mean
 
-SAMPLERS: Final = ("random", "grid", "optuna")
-_COUNT: Final = range(1, 1_000_001)
-_POINTS: Final = range(2, 1_000_001)
+_Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +42,11 @@ class Range:
         SettingError: the ends are in the wrong order, or cannot have logarithms.
     """
 
-    low: float
-    high: float
+    low: int | float
+    high: int | float
     log: bool = False
     integer: bool = False
-    points: int = 5
+    points: Annotated[int, Meta(ge=2, le=1_000_000)] = 5
 
     def __post_init__(self) -> None:
         known = is_option(self.low) and is_option(self.high)
@@ -56,7 +55,6 @@ class Range:
                 f"a range is from low to a greater high{', above 0' if self.log else ''}, "
                 f"not from {shown(self.low)} to {shown(self.high)}"
             )
-        whole(self.points, _POINTS, "points of a range")
 
     def at(self, share: float) -> Value:
         """Return the value at a share, 0 to 1, of the way from low to high."""
@@ -77,84 +75,51 @@ class TunePlan:
     """A search for the options of agents.
 
     Args:
-        space: the values of each agent's options, by its label.
-        sampler: the method that chooses configurations, of `SAMPLERS`.
+        agents: the values of each agent's options, by its label.
+        sampler: the method that chooses configurations.
         configurations: of each agent; a grid may have fewer.
         trials: of each configuration.
         final: trials of the chosen configuration, with seeds that the search has not used.
         prune: whether the worse half of the configurations is pruned after a quarter of each trial.
 
     Raises:
-        SettingError: a number is out of range, or the sampler is unknown.
+        SettingError: there are no options to search.
     """
 
-    space: Mapping[str, Space] = field(default_factory=dict)
-    sampler: str = "random"
-    configurations: int = 20
-    trials: int = 3
-    final: int = 10
+    agents: Mapping[str, Space]
+    sampler: Literal["random", "grid", "optuna"] = "random"
+    configurations: _Count = 20
+    trials: _Count = 3
+    final: _Count = 10
     prune: bool = False
 
     def __post_init__(self) -> None:
-        if self.sampler not in SAMPLERS:
-            near = did_you_mean(str(self.sampler), SAMPLERS)
-            raise SettingError(f"there is no sampler {shown(self.sampler)}{near}", "tune", "sampler")
-        for name in ("configurations", "trials", "final"):
-            whole(getattr(self, name), _COUNT, f"{name} of tune", "tune", name)
-        if type(self.prune) is not bool:
-            raise SettingError(f"prune of tune is true or false, not {shown(self.prune)}", "tune", "prune")
-        if not self.space:
-            raise SettingError("tune needs the options to search, as in: [tune.agents.NAME]", "tune")
+        if not self.agents:
+            raise SettingError("tune needs the options to search, as in: [tune.agents.NAME]")
 
 
-def parse_tune(table: object) -> TunePlan:
+def parse_tune(table: Any) -> TunePlan:
     """Return the search that the table `tune` of a plan describes.
 
     Raises:
         SettingError: a key or value does not belong there.
     """
-    if not isinstance(table, dict):
-        raise SettingError("tune is written as a table, as in: [tune]", "tune")
-    given = dict(table)
-    agents = given.pop("agents", {})
-    check_keys(given, [one.name for one in fields(TunePlan) if one.name != "space"], "tune", "tune")
+    agents = table.get("agents", {}) if isinstance(table, dict) else None
     if not isinstance(agents, dict) or not all(isinstance(space, dict) for space in agents.values()):
-        raise SettingError(
-            "the options to search are written as tables, as in: [tune.agents.NAME]", "tune", "agents"
-        )
-    return TunePlan({label: _space(label, space) for label, space in agents.items()}, **given)
+        where = ("tune", "agents") if agents else ("tune",)
+        raise SettingError("tune has its options in tables, as in: [tune.agents.NAME]", *where)
+    spaces = {
+        label: {name: _values(value, "tune", "agents", label, name) for name, value in space.items()}
+        for label, space in agents.items()
+    }
+    return converted(TunePlan, table | {"agents": spaces}, "tune", "tune")
 
 
-def _space(label: str, table: Mapping[str, Any]) -> Space:
-    found: dict[str, Range | tuple[Value, ...]] = {}
-    for name, value in table.items():
-        where, keys = f"{name} of tune.agents.{label}", ("tune", "agents", label, name)
-        if isinstance(value, list) and value and all(map(is_option, value)):
-            found[name] = tuple(value)
-        elif isinstance(value, dict):
-            check_keys(value, [one.name for one in fields(Range)], where, *keys)
-            for key, kind in (("low", int | float), ("high", int | float), ("log", bool), ("integer", bool)):
-                if not isinstance(value.get(key, False), kind) or (
-                    key in ("low", "high") and key not in value
-                ):
-                    raise SettingError(
-                        f"{where} needs a proper {key}, as in {{low = 0.01, high = 1.0}}", *keys
-                    )
-            try:
-                found[name] = Range(**value)
-            except SettingError as error:
-                raise error.inside(*keys) from None
-        else:
-            raise SettingError(
-                f"{where} is a range such as {{low = 0.01, high = 1.0}}, or a list of values", *keys
-            )
-    return found
-
-
-def tune_tables(tune: TunePlan) -> dict[str, dict[str, Any]]:
-    """Return the tables from which `parse_tune` returns an equal search, by their headings."""
-    numbers = {one.name: getattr(tune, one.name) for one in fields(tune) if one.name != "space"}
-    tables: dict[str, dict[str, Any]] = {"": numbers}
-    for label, space in tune.space.items():
-        tables[label] = dict(space)
-    return tables
+def _values(value: object, *keys: str) -> Range | tuple[Value, ...]:
+    if isinstance(value, dict):
+        return converted(Range, value, ".".join(keys), *keys)
+    if isinstance(value, list) and value and all(map(is_option, value)):
+        return tuple(value)
+    raise SettingError(
+        f"{'.'.join(keys)} is a range such as {{low = 0.01, high = 1.0}}, or a list of values", *keys
+    )

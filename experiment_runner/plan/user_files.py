@@ -9,17 +9,20 @@ from __future__ import annotations
 import hashlib
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import glue
 from experiment_runner.plan.plan import RoleSpec, RoleSweep, class_files
+from glue.options import Value
 from glue.plugins.loading import PACKAGES, all_modules
 
 _LOADED_BEFORE: Final = frozenset(sys.modules)
 _MAX_COPY: Final = 2**24
 """Maximum size in bytes of a file that a run copies."""
+
+_Values = TypeVar("_Values", Value, Value | tuple[Value, ...])
 
 
 class UserFile(NamedTuple):
@@ -46,6 +49,24 @@ def user_files(players: Sequence[RoleSpec | RoleSweep]) -> dict[str, UserFile]:
 def changed_files(recorded: Mapping[str, str], present: Mapping[str, UserFile]) -> list[str]:
     """Return the paths of the files that differ from those recorded, given by path and SHA-256."""
     return [path for path, sha256 in recorded.items() if path in present and present[path].sha256 != sha256]
+
+
+def with_digests(options: Mapping[str, _Values], known: Container[str]) -> dict[str, _Values]:
+    """Return a player's options with the SHA-256 of the files that they name, which the player then checks.
+
+    Args:
+        options: by name.
+        known: the names of all its options; the one for the digest of the file of NAME is NAME_digest.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    digests: dict[str, _Values] = {
+        f"{name}_digest": _read(Path(value)).sha256
+        for name, value in options.items()
+        if f"{name}_digest" in known and isinstance(value, str) and _is_file(value)
+    }
+    return {**options, **{name: digest for name, digest in digests.items() if name not in options}}
 
 
 def _modules() -> Iterator[Path]:

@@ -54,6 +54,13 @@ def format_table(
     return "\n".join(_line(row, widths, prose) for row in cells)
 
 
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
+    """Return a table whose first `texts` columns are aligned left, and the others right."""
+    lines = [f"| {' | '.join(cells)} |" for cells in (head, *rows)]
+    lines.insert(1, f"|{' --- |' * texts}{' ---: |' * (len(head) - texts)}")
+    return "\n".join(lines)
+
+
 def _line(row: Sequence[str], widths: Sequence[int], prose: bool) -> str:
     numbers = row[1:-1] if prose else row[1:]
     parts = [row[0].ljust(widths[0])]

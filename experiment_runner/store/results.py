@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.plan import COUNTS, RoleSpec, TrialSpec
+from experiment_runner.plan.limits import COUNTS
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.database import Database, open_to_read, reported
 from experiment_runner.store.readings import Metric, unpacked
 from experiment_runner.store.records import (

@@ -1,8 +1,13 @@
-"""The page's server as a whole, with its routes."""
+"""The page's application: its routes, its own files, and the drawings of installed environments.
+
+A drawing is an entry point of the group `glue.drawings`: a table of files by name, with functions that return
+their contents. The page imports its `drawing.js`; docs/view.md describes what that exports. No request leads
+to a path on the disk.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -12,15 +17,36 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
-from experiment_runner.view import assets, episodes, stream
-from experiment_runner.view.catalog import NOTES_LIMIT, Catalog, Watcher, checked_notes, write_notes
-from experiment_runner.view.curves import curves, drawn, look_of, wanted_by
+from experiment_runner.view import episodes, stream
+from experiment_runner.view.catalog import (
+    NOTES_LIMIT,
+    Catalog,
+    Watcher,
+    checked_notes,
+    run_in_full,
+    standings_of,
+    write_notes,
+)
+from experiment_runner.view.curves import curves, drawn, wanted_by
 from experiment_runner.view.guard import WRITABLE, Address, Guard
 from experiment_runner.view.live import Live
 from experiment_runner.view.reader import Kept, Reader, json_response
 from experiment_runner.view.stream import Pulse
-from experiment_runner.view.summary import run_in_full, standings_of
-from glue.errors import GlueError
+from glue.errors import ConfigError, GlueError
+from glue.installed import entry_points
+
+Drawing = Mapping[str, Callable[[], bytes]]
+"""Functions that return the contents of a drawing's files, by name."""
+
+_FOLDER: Final = Path(__file__).with_name("static")
+_TYPES: Final[Mapping[str, str]] = {
+    ".css": "text/css",
+    ".html": "text/html",
+    ".js": "text/javascript",
+    ".json": "application/json",
+    ".png": "image/png",
+    ".svg": "image/svg+xml",
+}
 
 _MOST_RUNS: Final = 20
 
@@ -42,12 +68,12 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
         "live": Live(catalog, pulse).open,
     }
     routes = [
-        *assets.routes(),
+        *_file_routes(),
         *stream.routes(pulse, sources),
         *_run_routes(catalog, read),
         *episodes.routes(catalog, Reader("recordings")),  # a thread of their own, as they can be long
     ]
-    handlers = {GlueError: _cannot_read, KeyError: _unknown, HTTPException: _refused}
+    handlers = dict.fromkeys((GlueError, KeyError, HTTPException), _error)
     return Guard(Starlette(routes=routes, exception_handlers=handlers), address, token)
 
 
@@ -60,9 +86,8 @@ def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
         runs = request.query_params.getlist("run")
         if not 0 < len(runs) <= _MOST_RUNS:
             raise HTTPException(404, f"choose 1 to {_MOST_RUNS} runs")
-        wanted = wanted_by([catalog.entry(run).directory for run in runs], request.query_params)
+        wanted, look = wanted_by([catalog.entry(run).directory for run in runs], request.query_params)
         signs = [catalog.signs(run) for run in runs]
-        look = look_of(request.query_params)
         return json_response(
             await read(lambda: drawn(kept.get(wanted, signs, lambda: curves(wanted)), wanted.over, look))
         )
@@ -92,14 +117,71 @@ def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
     ]
 
 
-async def _cannot_read(request: Request, error: Exception) -> Response:
+def _file_routes() -> list[BaseRoute]:
+    """Return a route for each file of `static/`, for the page itself, and for the drawings.
+
+    `/api/drawings` lists the drawings as JSON: `name`, and `problem` if it cannot be loaded. Their files are
+    `/drawings/NAME/FILE`.
+    """
+    found = [path for path in sorted(_FOLDER.rglob("*")) if path.suffix in _TYPES]
+    drawings, problems = _drawings()
+    listed = [{"name": name, "problem": problems.get(name)} for name in sorted(drawings | problems)]
+
+    async def listing(request: Request) -> Response:
+        return json_response(listed)
+
+    async def drawing(request: Request) -> Response:
+        name, file = request.path_params["name"], request.path_params["file"]
+        if file not in drawings.get(name, {}):
+            raise HTTPException(404, "there is no such drawing")
+        return _response(file, _content(name, drawings[name][file]))
+
+    return [
+        Route("/", _serve(_FOLDER / "index.html")),
+        *(Route(f"/static/{path.relative_to(_FOLDER).as_posix()}", _serve(path)) for path in found),
+        Route("/api/drawings", listing),
+        Route("/drawings/{name}/{file}", drawing),
+    ]
+
+
+def _serve(path: Path) -> object:
+    content = path.read_bytes()
+
+    async def endpoint(request: Request) -> Response:
+        return _response(path.name, content)
+
+    return endpoint
+
+
+def _response(name: str, content: bytes) -> Response:
+    return Response(content, media_type=_TYPES.get(Path(name).suffix, "application/octet-stream"))
+
+
+def _drawings() -> tuple[dict[str, Drawing], dict[str, str]]:
+    """Return the installed drawings, and why others cannot be loaded; both by name."""
+    drawings: dict[str, Drawing] = {}
+    problems: dict[str, str] = {}
+    for point in entry_points("glue.drawings"):
+        try:
+            drawings[point.name] = dict(point.load())
+        except Exception as error:  # of any kind: it is another package's module
+            problems[point.name] = f"{point.value}: {type(error).__name__}: {error}"
+    return drawings, problems
+
+
+def _content(name: str, read: Callable[[], bytes]) -> bytes:
+    try:
+        return bytes(read())
+    except GlueError:
+        raise
+    except Exception as error:
+        raise ConfigError(f"the drawing {name} failed: {type(error).__name__}: {error}") from error
+
+
+async def _error(request: Request, error: Exception) -> Response:
+    match error:
+        case KeyError():
+            return json_response({"error": "there is no such run"}, 404)
+        case HTTPException():
+            return json_response({"error": error.detail}, error.status_code)
     return json_response({"error": str(error)}, 422)
-
-
-async def _unknown(request: Request, error: Exception) -> Response:
-    return json_response({"error": "there is no such run"}, 404)
-
-
-async def _refused(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)
-    return json_response({"error": error.detail}, error.status_code)

@@ -1,4 +1,4 @@
-"""The table of runs that the page shows: a summary, the note and the tags of each."""
+"""The runs that the page shows: a table with a summary, the note and the tags of each; and each in full."""
 
 from __future__ import annotations
 
@@ -14,13 +14,24 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from experiment_runner.competition.board.forms import LEGEND, as_json
+from experiment_runner.competition.board.standings import standings
+from experiment_runner.competition.course import course_of
 from experiment_runner.plan.ids import REMOTE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from experiment_runner.report.overview import Overview, overview
+from experiment_runner.report.overview import Overview, as_object, overview
 from experiment_runner.store.database import DATABASE_FILES
-from experiment_runner.store.layout import COMPETITION_FILE, NOTES_FILE, replace_flushed, runs_under
+from experiment_runner.store.layout import (
+    ABOUT_FILE,
+    COMPETITION_FILE,
+    NOTES_FILE,
+    PLAN_FILE,
+    replace_flushed,
+    runs_under,
+)
 from experiment_runner.store.lock import lock_holder
 from experiment_runner.store.results import Results
+from experiment_runner.view.export import figures
 from experiment_runner.view.reader import Reader
 from experiment_runner.view.stream import Pulse, Topic
 from glue.console import one_line, printable
@@ -38,6 +49,10 @@ NOTES_LIMIT: Final = 16_384
 _MOST_TEXT: Final = 4000
 _MOST_TAGS: Final = 20
 _MOST_TAG: Final = 40
+_MOST_ROWS: Final = 200  # voids and events, the newest; answers
+_MOST_ANSWER: Final = 2000  # of an answer
+_MOST_RECORDS: Final = 1000
+_MOST_FILE: Final = 2**20  # of a text file
 _RATE_SECONDS: Final = 60.0  # over which the rate of a run is taken
 _LEAST_RATE_SECONDS: Final = 2.0
 
@@ -277,6 +292,70 @@ def _competition(results: Results, run: Overview) -> dict[str, Any]:
         # A task with a number of steps, or a forfeited one, never has all episodes of the plan.
         "state": "finished" if over == trials and run.state == "interrupted" else run.state,
     }
+
+
+def run_in_full(directory: Path) -> dict[str, Any]:
+    """Return everything that is known of a run, except its episodes.
+
+    Raises:
+        ExperimentError: the run cannot be read.
+    """
+    with Results.open(directory) as results:
+        found: dict[str, Any] = as_object(results)
+    for name, most in (("voids", _MOST_ROWS), ("events", _MOST_ROWS)):
+        found[name + "_left_out"] = max(0, len(found[name]) - most)
+        found[name] = found[name][-most:]
+    for name, most in (("trial_records", _MOST_RECORDS), ("answers", _MOST_ROWS)):
+        found[name + "_left_out"] = max(0, len(found[name]) - most)
+        found[name] = found[name][:most]
+    for answered in found["answers"]:
+        answered["answer"] = answered["answer"][:_MOST_ANSWER]
+    competition = _text(directory / COMPETITION_FILE)
+    for trial in found["trial_records"]:
+        # As text, since JavaScript would round it; in a competition it is secret.
+        trial["seed"] = "secret" if competition else str(trial["seed"])
+    return found | {
+        "plan": competition or _text(directory / PLAN_FILE),
+        "competition": bool(competition),
+        "about": _about(_text(directory / ABOUT_FILE)),
+    }
+
+
+def standings_of(directory: Path) -> dict[str, Any]:
+    """Return the board of a competition and its progress, but nothing of the secret seed.
+
+    Raises:
+        ExperimentError: the directory holds no competition, or cannot be read.
+    """
+    with Results.open(directory) as results:
+        course = course_of(directory)
+        found = standings(results, course)
+        board: dict[str, Any] = json.loads(as_json(found))
+        over = results.outcomes()
+        progress = {"matches": len(course.trials), "over": sum(trial in over for trial in course.trials)}
+        return board | progress | {"legend": LEGEND, "figures": figures(found)}
+
+
+def _about(text: str) -> dict[str, Any]:
+    try:
+        # A number that JSON lacks, or one too large to be read, is kept as text.
+        about = json.loads(text, parse_constant=str, parse_float=_finite)
+        json.dumps(about)
+    except (ValueError, RecursionError):
+        return {}
+    return about if isinstance(about, dict) else {}
+
+
+def _finite(text: str) -> float | str:
+    return float(text) if math.isfinite(float(text)) else text
+
+
+def _text(path: Path) -> str:
+    """Return the contents of a text file; empty if it cannot be read, or should not."""
+    try:
+        return read_regular(path, _MOST_FILE).decode("utf-8", "replace")
+    except OSError:
+        return ""
 
 
 def _label(role: RoleSpec | None, joined: str | None) -> str:

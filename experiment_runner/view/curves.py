@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -119,19 +120,6 @@ def drawn(found: dict[str, Any], over: str, look: Look) -> dict[str, Any]:
     }
 
 
-def look_of(query: Any) -> Look:
-    """Return the drawing's size and scales from a query: `width`, and `log` with the axes x and y.
-
-    Raises:
-        ExperimentError: the width is no number.
-    """
-    try:
-        width = int(query.get("width", "800"))
-    except ValueError:
-        raise ExperimentError("the width is a number of pixels") from None
-    return Look(min(max(width, 280), 2000), ("x" in query.getlist("log"), "y" in query.getlist("log")))
-
-
 def _curve(setting: Setting, window: int, wanted: Wanted, rng: np.random.Generator) -> Curve | None:
     if setting.metrics:
         return of_metric([(metric.steps, metric.values) for metric in setting.metrics], rng, wanted.span)
@@ -168,27 +156,27 @@ def _numbers(values: FloatArray) -> Sequence[object]:
     return [finite(value) for value in values.tolist()]
 
 
-def wanted_by(directories: Sequence[Path], query: Any) -> Wanted:
-    """Return the requested curves from a query.
+def wanted_by(directories: Sequence[Path], query: Any) -> tuple[Wanted, Look]:
+    """Return the curves that a query requests, and their look: its `width`, and `log` for each of x and y.
 
     Raises:
         ExperimentError: a value is out of range.
     """
+    over, measure, asked = query.get("over", "episodes"), query.get("measure", "return"), query.get("window")
     try:
-        window = int(query.get("window") or 100)
+        window = int(asked or (100 if over == "episodes" else 0))
         span = (float(query.get("from", "-inf")), float(query.get("to", "inf")))
+        width = int(query.get("width", "800"))
     except ValueError:
-        raise ExperimentError("window, from and to are numbers") from None
-    over, measure = query.get("over", "episodes"), query.get("measure", "return")
-    if not query.get("window") and over == "steps":
-        window = 0
+        raise ExperimentError("window, from, to and width are numbers") from None
     if (
-        not (1 if query.get("window") else 0) <= window <= _WIDEST
+        not bool(asked) <= window <= _WIDEST
         or over not in ("episodes", "steps")
-        or span[0] != span[0]
-        or span[1] != span[1]
+        or any(map(math.isnan, span))
     ):
         raise ExperimentError(
             "a window is from 1 to 1,000,000,000 episodes or steps, and curves are over episodes or steps"
         )
-    return Wanted(tuple(directories), window, over, span, measure)
+    log = query.getlist("log")
+    look = Look(min(max(width, 280), 2000), ("x" in log, "y" in log))
+    return Wanted(tuple(directories), window, over, span, measure), look

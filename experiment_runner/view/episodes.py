@@ -11,7 +11,6 @@ import hashlib
 import math
 import os
 import re
-import stat
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -120,27 +119,17 @@ def _bound(bound: Bound) -> str:
 
 def _found(directory: Path) -> dict[str, Path]:
     """Return the recordings of a run by their ids on the page: empty for the first."""
-    names = sorted(name for name in _names(directory) if name.endswith(_SUFFIX))
-    files = [directory / name for name in names if _is_file(directory / name)][:_MOST_FILES]
-    return {
-        hashlib.sha256(os.fsencode(path.name)).hexdigest()[:8] if place else "": path
-        for place, path in enumerate(files)
-    }
-
-
-def _names(directory: Path) -> list[str]:
     try:
-        return os.listdir(directory)
+        with os.scandir(directory) as entries:
+            # A run may come from elsewhere: no link is followed.
+            files = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
     except OSError as error:
         raise ExperimentError(f"cannot read {directory}: {error.strerror}") from None
-
-
-def _is_file(path: Path) -> bool:
-    """Return whether a path is a regular file, not a link: a run may come from elsewhere."""
-    try:
-        return stat.S_ISREG(path.lstat().st_mode)
-    except OSError:
-        return False
+    names = sorted(name for name in files if name.endswith(_SUFFIX))[:_MOST_FILES]
+    return {
+        hashlib.sha256(os.fsencode(name)).hexdigest()[:8] if place else "": directory / name
+        for place, name in enumerate(names)
+    }
 
 
 def _listed(name: str, path: Path, kept: Kept) -> dict[str, Any]:

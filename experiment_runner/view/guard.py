@@ -126,9 +126,10 @@ class Guard:
         headers = request.headers
         if not all(map(self._address.knows_host, headers.getlist("host") or [""])):
             return PlainTextResponse("This Host is not one by which the page may be called.", 403)
-        if not all(map(self._address.knows_origin, headers.getlist("origin"))):
-            return PlainTextResponse("The page is not open to other sites.", 403)
-        if headers.get("sec-fetch-site") == "cross-site" and headers.get("sec-fetch-mode") != "navigate":
+        foreign = (
+            headers.get("sec-fetch-site") == "cross-site" and headers.get("sec-fetch-mode") != "navigate"
+        )
+        if foreign or not all(map(self._address.knows_origin, headers.getlist("origin"))):
             return PlainTextResponse("The page is not open to other sites.", 403)
         writes = request.method == "PUT" and request.url.path.startswith(WRITABLE)
         if writes and not headers.getlist("origin"):

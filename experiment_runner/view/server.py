@@ -1,36 +1,41 @@
-"""Serving the page with uvicorn, until Ctrl-C."""
+"""Serving the page with uvicorn, until Ctrl-C, despite connections that never show the token.
+
+Any user of this machine can connect, and without limits could hold every descriptor of the server. A
+connection is admitted by its first request with the cookie. Until then it has a few seconds, and is dropped
+for a newer one if there are too many, so a browser gets in however many idle connections there are.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import resource
 import secrets
 import socket
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, ClassVar, Final
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.server import Server
 
 from experiment_runner.view.app import page
-from experiment_runner.view.connections import Connection, raise_descriptors
-from experiment_runner.view.guard import Address
+from experiment_runner.view.guard import ADMIT, Address
 from experiment_runner.view.stream import Pulse
 from glue.errors import ConfigError
 
 DEFAULT_PORT: Final = 8097
 _TOKEN_BYTES: Final = 24
 _BACKLOG: Final = 128
-_LOOK_SECONDS: Final = 0.05
 _FAREWELL_SECONDS: Final = 0.5
+_SPARE: Final = 200
+"""Descriptors for everything that is not a connection: stores, recordings, observers."""
 
 
 def serve(
-    folders: Sequence[Path],
-    port: int | None,
-    host: str,
-    proxy: str,
-    ready: Callable[[str], None],
+    folders: Sequence[Path], port: int | None, host: str, proxy: str, ready: Callable[[str], None]
 ) -> None:
     """Serve the page until SIGINT or SIGTERM, whose handlers are called at the end.
 
@@ -44,35 +49,14 @@ def serve(
     Raises:
         ConfigError: the server cannot listen there.
     """
-    raise_descriptors()
-    listening = _listen(host, port)
-    with listening:
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    with _listen(host, port) as listening:
         port = int(listening.getsockname()[1])
         token = secrets.token_urlsafe(_TOKEN_BYTES)
         address = Address(port, proxy, open_to_all=not is_loopback(host))
-        asyncio.run(_serve(listening, folders, address, token, ready, _url(host, port, proxy, token)))
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether only this machine can reach an address."""
-    try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
-    except OSError:
-        return False
-    return all(address[4][0] in ("127.0.0.1", "::1") for address in found)
-
-
-async def _serve(
-    listening: socket.socket,
-    folders: Sequence[Path],
-    address: Address,
-    token: str,
-    ready: Callable[[str], None],
-    url: str,
-) -> None:
-    pulse = Pulse()
-    server = uvicorn.Server(
-        uvicorn.Config(
+        pulse = Pulse()
+        config = uvicorn.Config(
             page(folders, address, token, pulse),
             access_log=False,  # the log would hold the token
             http=Connection,
@@ -84,16 +68,96 @@ async def _serve(
             timeout_graceful_shutdown=_FAREWELL_SECONDS,
             ws="none",
         )
-    )
-    serving = asyncio.create_task(server.serve([listening]))
-    told = False
-    while not serving.done() and not server.should_exit:
-        if server.started and not told:
-            told = True
-            ready(url)
-        await asyncio.wait([serving], timeout=_LOOK_SECONDS)
-    pulse.close()
-    await serving
+        server = _Server(config, pulse, lambda: ready(_url(host, port, proxy, token)))
+        asyncio.run(server.serve([listening]))
+
+
+class _Server(Server):
+    """A server that says when it is ready, and ends its streams before it ends."""
+
+    def __init__(self, config: uvicorn.Config, pulse: Pulse, ready: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._pulse = pulse
+        self._ready = ready
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self._ready()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._pulse.close()
+        await super().shutdown(sockets)
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this machine can reach an address."""
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+    except OSError:
+        return False
+    return all(address[4][0] in ("127.0.0.1", "::1") for address in found)
+
+
+class Connection(H11Protocol):
+    """A connection that uvicorn serves, with limits.
+
+    Attributes:
+        most: maximum number of connections; fewer if the limit of open files is low.
+        share: maximum number of connections from one address that are not yet admitted.
+        head_seconds: maximum time from the beginning of a connection until it is admitted.
+    """
+
+    most: ClassVar[int] = 1000
+    share: ClassVar[int] = 250
+    head_seconds: ClassVar[float] = 10.0
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self.app_state: dict[str, Any] = {**self.app_state, ADMIT: self._admit}
+        self._address = ""
+        self._timer: asyncio.TimerHandle | None = self.loop.call_later(self.head_seconds, self._drop)
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Make room for the connection, or close it if all others are admitted."""
+        self._address = self._address_of(transport)
+        waiting = [other for other in self.connections if isinstance(other, Connection) and other._timer]
+        same = [other for other in waiting if other._address == self._address]
+        full = len(self.connections) >= min(self.most, _room())
+        super().connection_made(transport)
+        if len(same) >= self.share or full:
+            oldest = min(same if len(same) >= self.share else waiting, key=_begun, default=self)
+            oldest._drop()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the connection."""
+        self._admit()
+        super().connection_lost(exc)
+
+    def _admit(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _drop(self) -> None:
+        self._admit()
+        self.connections.discard(self)
+        self.transport.abort()
+
+    @staticmethod
+    def _address_of(transport: asyncio.Transport) -> str:
+        peer = transport.get_extra_info("peername")
+        return str(peer[0]) if peer else ""
+
+
+def _begun(connection: Connection) -> float:
+    assert connection._timer is not None
+    return connection._timer.when()
+
+
+def _room() -> int:
+    """Return the number of descriptors that this process has for connections."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return sys.maxsize if soft == resource.RLIM_INFINITY else max(soft // 2, soft - _SPARE)
 
 
 def _listen(host: str, port: int | None) -> socket.socket:

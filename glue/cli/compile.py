@@ -7,7 +7,6 @@ from functools import partial
 import click
 
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError, GlueError
 from glue.plugins.loading import make, make_agent, names
@@ -65,12 +64,3 @@ def _play(name: str) -> str:
         except GlueError:
             continue
     return "is left out: it plays none of the installed environments"
-
-
-def main() -> None:
-    """Run `glue-compile`."""
-    run(compile_players)
-
-
-if __name__ == "__main__":
-    main()

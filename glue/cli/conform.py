@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import json
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import click
 
 from glue import __version__
-from glue.cli.shared import run
-from glue.conform.hub.clients import TRANSPORTS, starter
-from glue.conform.hub.rules import Tier
+from glue.conform.clients.process import TRANSPORTS, starter
+from glue.conform.rules import Outcome, Tier
 from glue.console import for_terminal, say
 from glue.errors import ConfigError
 from glue.wire.messages import THREE_ROLES, Role
-
-if TYPE_CHECKING:
-    from glue.conform.judge import Verdict
 
 _FAILED: Final = 1
 _HUB: Final = "hub"
@@ -57,6 +54,7 @@ _HUB: Final = "hub"
     help="Instead of the rules play N scripts of random faults, as breaks at any byte.",
 )
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Play one of these scripts.")
+@click.option("--mirror", is_flag=True, help="Judge the client as the mirror, whatever its name.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of lines.")
 @click.option(
     "--scorecard",
@@ -74,15 +72,17 @@ def conform(
     wait: float,
     seeds: int | None,
     seed: int | None,
+    mirror: bool,
     as_json: bool,
     card: Path | None,
 ) -> int:
     """Judge a client in any language, an agent, environment or experiment, or a hub.
 
     glue-conform acts as the hub: it starts COMMAND, which connects to the address in GLUE_HUB and joins the
-    session in GLUE_SESSION. The mirror that docs/clients.md describes is judged by every rule, any other
-    agent or environment by those that do not depend on the content of its answers; an experiment has to be
-    the mirror. A line is printed for each rule; the exit code is 0 if no MUST of the tier is broken.
+    session in GLUE_SESSION. The mirror that docs/clients.md describes, whose name in HELLO is "mirror", is
+    judged by every rule, any other agent or environment by those that do not depend on the content of its
+    answers; an experiment has to be the mirror. A line is printed for each rule; the exit code is 0 if no
+    MUST of the tier is broken.
 
     A hub is judged by its address, in place of COMMAND; it may be in use.
 
@@ -94,31 +94,31 @@ def conform(
       glue-conform agent --seeds 200 -- ./mirror agent
       glue-conform hub tcp://127.0.0.1:4097
     """
-    from glue.conform.judge import Outcome, judge, judge_hub, judge_scripts
+    from glue.conform.clients.judge import judge, judge_scripts
+    from glue.conform.hubs.judge import judge_hub
     from glue.conform.report import document, line, reached, scorecard, summary
 
     if card is not None and not card.parent.is_dir():
         raise ConfigError(f"cannot write {card}: there is no folder {card.parent}; make it first")
 
     scripts = range(seed, seed + 1) if seed is not None else range(seeds or 0)
-
-    def report(verdict: Verdict) -> None:
-        if not as_json and (not scripts or verdict.outcome is not Outcome.PASSED):
-            click.echo(for_terminal(line(verdict)))
-
     if scripts and (role == _HUB or (seed is not None and seeds is not None)):
         raise ConfigError("scripts of faults are for clients: give --seeds N, or --seed N for one of them")
     if role == _HUB:
         if len(command) != 1:
             raise ConfigError("a hub is judged by its address alone, such as tcp://127.0.0.1:4097")
-        verdicts = judge_hub(command[0], wait=wait, report=report)
+        judged = judge_hub(command[0], wait=wait)
     else:
-        judged = partial(judge_scripts, seeds=scripts) if scripts else partial(judge, tier=Tier(tier))
-        verdicts = [
-            verdict
+        judging = partial(judge_scripts, seeds=scripts) if scripts else partial(judge, tier=Tier(tier))
+        judged = chain.from_iterable(
+            judging(Role(role), starter(command), transport=each, mirror=mirror, wait=wait)
             for each in dict.fromkeys(transport)
-            for verdict in judged(Role(role), starter(command), transport=each, wait=wait, report=report)
-        ]
+        )
+    verdicts = []
+    for verdict in judged:
+        verdicts.append(verdict)
+        if not as_json and (not scripts or verdict.outcome is not Outcome.PASSED):
+            click.echo(for_terminal(line(verdict)))
     if as_json:
         click.echo(json.dumps(document(role, command, verdicts), indent=2))
     else:
@@ -127,8 +127,3 @@ def conform(
         card.write_text(scorecard(role, command, verdicts), encoding="utf-8")
         say(f"wrote {card}")
     return 0 if all(reached(verdicts).values()) else _FAILED
-
-
-def main() -> None:
-    """Run `glue-conform`."""
-    run(conform)

@@ -12,7 +12,7 @@ import signal
 import sys
 from importlib import import_module
 
-import glue.doors.forks  # noqa: F401  # for the handlers that are set here
+import glue.system.forks  # noqa: F401  # for the handlers that are set here
 from glue.names import others
 
 TYPE_CHECKING = False
@@ -35,8 +35,8 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM was received: clean up as for Ctrl-C."""
 
 
-def start(module: str) -> NoReturn:
-    """Import the module of a command and run its `main`, which exits."""
+def start(module: str, name: str) -> NoReturn:
+    """Run the command of this name in a module, which is imported, and exit."""
     handle_signals()
     open_streams()
     # NumPy's threads would spin for 2**26 cycles before they sleep, from its import on, in children too.
@@ -48,8 +48,8 @@ def start(module: str) -> NoReturn:
         message += "your programs import glue_rl first\n"
         os.write(_STDERR, message.encode(errors="replace"))
     try:
-        import_module(module).main()
-        raise AssertionError(f"{module}.main returned")
+        import_module("glue.cli.shared").run(getattr(import_module(module), name))
+        raise AssertionError(f"{name} returned")
     except KeyboardInterrupt as interrupt:
         _leave(signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
     except Exception:
@@ -93,7 +93,7 @@ def handle_signals() -> None:
 
 def is_stuck() -> bool:
     """Return whether printing would block, because standard error is a full pipe that is not being read."""
-    from glue.doors import network
+    from glue.system import network
 
     try:
         return not network.select([], [_STDERR], [], 0)[1]

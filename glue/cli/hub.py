@@ -13,7 +13,7 @@ import click
 
 from glue import __version__
 from glue.cli.entry import Terminated
-from glue.cli.shared import keys_option, legacy_port_option, run
+from glue.cli.shared import keys_option, legacy_port_option
 from glue.console import say
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort
@@ -166,8 +166,3 @@ def _give_memory_back() -> None:
     """Have glibc return large free blocks, which it would learn to keep: `--max-memory` is a bound."""
     with suppress(OSError, AttributeError):  # another C library has no mallopt
         ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BLOCK)
-
-
-def main() -> None:
-    """Run `glue-hub`."""
-    run(hub)

@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from glue import __version__
-from glue.cli.shared import run
 from glue.console import say
 from glue.keys.certificates import encode, read_public, write_pair
 
@@ -51,8 +50,3 @@ def new(name: str, directory: Path) -> None:
 def show(file: str) -> None:
     """Print the public key in FILE, which may be either of the two files of a pair."""
     click.echo(encode(read_public(file, "file")))
-
-
-def main() -> None:
-    """Run `glue-keys`."""
-    run(keys)

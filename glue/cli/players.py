@@ -17,11 +17,13 @@ from functools import partial
 from typing import Any, Final
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from glue import __version__
 from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, reporting
 from glue.console import LOG, errors_only
+from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.options import Parameter, Value, parameters
 from glue.plugins.loading import construct, find, names, summaries, without_seed
@@ -33,24 +35,26 @@ _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 @dataclass(frozen=True, slots=True)
 class Extra:
-    """An option that every player of a command has besides its own.
+    """An option that players of a command have besides their own.
 
     Args:
         option: the option on the command line.
         apply: returns the player to serve, given the player made and the option's value.
+        method: the method that a player's class must have for the option; "" for every player.
     """
 
     option: click.Option
     apply: Callable[[Any, Any], Any]
+    method: str = ""
 
 
-def player_command(role: Role, example: str, extra: Extra) -> click.Group:
+def player_command(role: Role, example: str, *extras: Extra) -> click.Group:
     """Return the command that starts an agent or environment by name.
 
     Args:
         role: agent or environment.
         example: command lines for the help, each after two spaces.
-        extra: an option of every agent or environment.
+        extras: options of agents or environments.
     """
     command = _COMMANDS[role]
     help_text = (
@@ -58,23 +62,25 @@ def player_command(role: Role, example: str, extra: Extra) -> click.Group:
         "NAME is one of the commands below, or your own class as module:Class or path/to/file.py:Class. "
         f"`{command} NAME --help` lists its options.\n\n\b\nExamples:\n{example}"
     )
-    return _PlayerGroup(role, extra, name=command, help=help_text)
+    return _PlayerGroup(role, extras, name=command, help=help_text)
 
 
 class _PlayerGroup(click.Group):
     """A group whose subcommands are made from the classes that its arguments name."""
 
-    def __init__(self, role: Role, extra: Extra, name: str, help: str) -> None:
+    def __init__(self, role: Role, extras: Sequence[Extra], name: str, help: str) -> None:
         super().__init__(name=name, help=help, subcommand_metavar="NAME [OPTIONS]", no_args_is_help=True)
         self._role = role
-        self._extra = extra
+        self._extras = extras
         click.version_option(__version__, prog_name=name)(self)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return names(self._role)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
-        return _serving(self._role, cmd_name, find(self._role, cmd_name), self._extra)
+        factory = find(self._role, cmd_name)
+        extras = [extra for extra in self._extras if not extra.method or hasattr(factory, extra.method)]
+        return _serving(self._role, cmd_name, factory, extras)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the installed names with their summaries, without importing any of them."""
@@ -101,11 +107,9 @@ class _PlayerGroup(click.Group):
         return f"{option} comes after the name of the {self._role}: {self.name} {player} {shlex.join(rest)}"
 
 
-def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Command:
+def _serving(role: Role, name: str, factory: type, extras: Sequence[Extra]) -> click.Command:
     """Return the subcommand that serves players made by `factory`."""
     known = parameters(factory)
-    extra_name = extra.option.name
-    assert extra_name is not None
 
     # Our names begin with an underscore, so that a player may have a parameter called hub or quiet.
     def start(
@@ -116,19 +120,25 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         _wait: float | None,
         _quiet: bool,
         _batch: int | None = None,
+        _openenv: str | None = None,
+        _insecure: bool = False,
         **options: Value | None,
     ) -> None:
         from glue.client.players import serve_agent, serve_environment
         from glue.plugins.batched import make_batch
 
-        added = options.pop(extra_name)
+        added = [(extra, options.pop(str(extra.option.name))) for extra in extras]
         given = {key: value for key, value in options.items() if value is not None}
         make = partial(construct, factory, given)
+        if _openenv is not None:
+            _serve_openenv(make, name, _openenv, _insecure)
+            return
         players: dict[str, Any] = {
             one: make() if _batch is None else make_batch(name, make, _batch) for one in _session
         }
-        if added:
-            players = {one: extra.apply(player, added) for one, player in players.items()}
+        for extra, value in added:
+            if value is not None and value is not False:
+                players = {one: extra.apply(player, value) for one, player in players.items()}
         serve = serve_agent if role is Role.AGENT else serve_environment
         with errors_only() if _quiet else nullcontext():
             if (warning := without_seed(role, name, factory)) is not None:
@@ -167,17 +177,45 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
             help="Timeout for the hub to answer. [default: wait forever]",
         ),
         click.Option(["--quiet", "_quiet"], is_flag=True, help="Print nothing but errors."),
-        extra.option,
+        *(extra.option for extra in extras),
     ]
     if role is Role.ENVIRONMENT:
         text = "Serve N games as one environment, to an agent that acts in all of them at once."
-        common.append(click.Option(["--batch", "_batch"], type=click.IntRange(1), metavar="N", help=text))
+        common += [
+            click.Option(["--batch", "_batch"], type=click.IntRange(1), metavar="N", help=text),
+            click.Option(
+                ["--openenv", "_openenv"],
+                metavar="HOST:PORT",
+                help="Serve OpenEnv's clients at this address, instead of a hub: a game for each connection.",
+            ),
+            click.Option(
+                ["--insecure", "_insecure"],
+                is_flag=True,
+                help="With --openenv, allow an address that other machines can reach.",
+            ),
+        ]
     options = [*(_option(parameter) for parameter in known.values()), *common]
     for option in options:
         # An environment variable would reach the players of an experiment, which would not record it.
         option.allow_from_autoenv = False
     examples = f"\b\nExamples:\n{_examples(role, name, known)}"
     return click.Command(name, callback=reporting(start), params=[*options], help=summary, epilog=examples)
+
+
+def _serve_openenv(make: Callable[[], Any], name: str, address: str, insecure: bool) -> None:
+    """Serve environments without a hub.
+
+    Raises:
+        ConfigError: an option of the hub was given, too; see also `glue.openenv.serve`.
+    """
+    from glue.openenv import serve
+
+    context = click.get_current_context()
+    for option in ("_hub", "_session", "_key", "_hub_key", "_wait", "_batch"):
+        if context.get_parameter_source(option) is ParameterSource.COMMANDLINE:
+            flag = option.replace("_", "-").lstrip("-")
+            raise ConfigError(f"--openenv serves without a hub: leave out --{flag}")
+    serve(make, name, address, insecure=insecure)
 
 
 def _help(docstring: str) -> str:

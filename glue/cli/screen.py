@@ -15,10 +15,10 @@ from collections.abc import Callable
 from typing import Any, Final, TextIO, TypeAlias
 
 from glue.closing import Closing
-from glue.doors import clock
 from glue.errors import ConfigError
 from glue.installed import entry_points
 from glue.roles import Environment
+from glue.system import clock
 from glue.types import Observation
 
 Marks: TypeAlias = tuple[tuple[float, float], ...]

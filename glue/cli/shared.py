@@ -22,9 +22,7 @@ from glue.cli.entry import (
     EXIT_INTERRUPTED,
     EXIT_TERMINATED,
     Terminated,
-    handle_signals,
     is_stuck,
-    open_streams,
 )
 from glue.console import LOG, say
 from glue.errors import ConfigError, GlueError
@@ -127,13 +125,11 @@ def run(command: click.Command) -> NoReturn:
     Every option can be set by an environment variable, such as GLUE_EXPERIMENT_EPISODES for `--episodes` of
     glue-experiment, unless it declares another one.
     """
-    handle_signals()
-    open_streams()
     _print_log()
     _prepare(command)
     prefix = (command.name or "").upper().replace("-", "_")
     try:
-        code = command.main(standalone_mode=False, auto_envvar_prefix=prefix)
+        code = command.main(prog_name=command.name, standalone_mode=False, auto_envvar_prefix=prefix)
         sys.stdout.flush()
     except click.ClickException as error:
         error.show()

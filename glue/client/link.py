@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Final
 from glue.client.target import OwnKey
 from glue.client.transport import Transport, open_transport
 from glue.console import LOG, one_line
-from glue.doors import chance, clock
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.hub.config import check_session
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.sockets.spinning import LONG_SPIN_SECONDS, SEVERAL_CORES
+from glue.system import chance, clock
 from glue.wire.codec import UnknownKind, clip
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role

@@ -23,9 +23,9 @@ from glue.client.link import Link
 from glue.client.target import Target, find_target
 from glue.client.transport import Transport
 from glue.console import LOG, reporting, show_failure
-from glue.doors import threads
 from glue.errors import GlueError, HubClosed, PeerFailed, Refused, described
 from glue.roles import AgentLike, EnvironmentLike
+from glue.system import threads
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role
 

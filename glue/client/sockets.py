@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from glue.client.target import OwnKey, needs_key, needs_no_key, unknown_key, wrong_hub_key
-from glue.doors import clock, network
 from glue.errors import Refused, RemoteProtocolError
 from glue.sockets.options import limit_silence, probe_when_silent, unix_address
 from glue.sockets.spinning import Spin
+from glue.system import clock, network
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
 from glue.wire.messages import Message
@@ -69,7 +69,7 @@ class SocketTransport:
         self._key = key
         self._curve: CurveClient | None = None
         self._stream = self._new_stream()
-        self._joined: list[bytes] = []  # answers to steps, which wait for others
+        self._joined: list[bytes | bytearray] = []  # answers to steps, which wait for others
         self._joined_until = 0.0
         self._greeted = False
         self._deadline = 0.0  # of the handshake
@@ -98,9 +98,10 @@ class SocketTransport:
             return False
         head, body = self._stream.encode(message)
         if len(body) <= _JOINED:
+            data = head + body if body else head
             if self._joined or (not self._stream.empty and message.kind in STEPS):
-                return self._join(head + body, message.kind in STEPS)
-            return self._send(head + body)
+                return self._join(data, message.kind in STEPS)
+            return self._send(data)
         connected = self._socket
         assert connected is not None
         try:
@@ -114,7 +115,7 @@ class SocketTransport:
         rest = [memoryview(head)[sent:], memoryview(body)[max(0, sent - len(head)) :]]
         return all(self._send_rest(connected, part) for part in rest)
 
-    def _join(self, data: bytes, may_wait: bool) -> bool:
+    def _join(self, data: bytes | bytearray, may_wait: bool) -> bool:
         """Send a message after those that wait; it may wait, too, if more messages need an answer."""
         now = clock.monotonic()
         if not self._joined:
@@ -230,7 +231,7 @@ class SocketTransport:
         except OSError:
             return b""
 
-    def _send(self, data: bytes) -> bool:
+    def _send(self, data: bytes | bytearray) -> bool:
         connected = self._socket
         assert connected is not None
         try:

@@ -13,9 +13,9 @@ from urllib.parse import urlsplit
 
 from glue.client.sockets import SocketTransport
 from glue.client.target import OwnKey
-from glue.doors import network
 from glue.errors import ConfigError
 from glue.hub.config import check_url
+from glue.system import network
 from glue.wire.limits import MAX_BODY, MAX_HEADER
 from glue.wire.messages import Message
 

@@ -29,7 +29,7 @@ from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 
 from glue.console import say, say_why_slow
-from glue.doors import clock
+from glue.system import clock
 
 _POLL_SECONDS: Final = 0.1
 _SPIN_SECONDS: Final = 0.5

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from glue.conform.hub.rules import Tier
-from glue.conform.judge import Outcome, Verdict
+from glue.conform.rules import Outcome, Tier, Verdict
 
 _PAGE: Final = "docs/protocol-reference.md"
 

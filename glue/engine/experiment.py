@@ -7,6 +7,7 @@ runs in one process or in three.
 from __future__ import annotations
 
 import operator
+from collections.abc import Iterator
 from typing import Any, NamedTuple, TypeVar
 
 from glue.closing import Closing
@@ -81,7 +82,7 @@ class Experiment(Closing):
         return bool(terminal) and terminal != CUT_OFF
 
     def rl_go_on(self, max_steps: int) -> bool | None:
-        """Continue the episode under way until it ends or RL_num_steps is `max_steps`.
+        """Continue the episode under way until it ends or RL_num_steps is `max_steps`, 0 for no limit.
 
         After RL_start, repeated calls are `rl_episode` in parts, between which an experiment may do anything
         else.
@@ -89,8 +90,7 @@ class Experiment(Closing):
         Returns:
             True if the episode reached its end, False if the environment cut it off, None if it continues.
         """
-        for _ in range(self.rl_num_steps(), max_steps):
-            step = self.rl_step()
+        for step in steps(self, max_steps):
             if step.terminal:
                 return not step.truncated
         return None
@@ -159,6 +159,17 @@ class Experiment(Closing):
     def rl_agent_metrics(self) -> dict[str, float]:
         """Return the agent's metrics by name (capability `metrics`); callable during an episode, too."""
         return unpack_metrics(_observation(self._call(Kind.RL_AGENT_METRICS)[1]))
+
+
+def steps(glue: Experiment, max_steps: int) -> Iterator[Step]:
+    """Yield the further steps of an episode until it ends or RL_num_steps is `max_steps`, 0 for no limit."""
+    number = glue.rl_num_steps()
+    while max_steps == 0 or number < max_steps:
+        step = glue.rl_step()
+        yield step
+        if step.terminal:
+            return
+        number += 1
 
 
 def _whole(number: Any, bits: int, what: str) -> int:

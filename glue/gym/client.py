@@ -15,15 +15,14 @@ from gymnasium.vector import SyncVectorEnv
 
 import glue.client.experiment as remote
 from glue.client.players import serve_agent
-from glue.doors import threads
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, SimulatorError, TaskSpecError
-from glue.gym.codec import Codec
-from glue.gym.leaves import SpaceLike
+from glue.gym.codec import Codec, SpaceLike
 from glue.gym.spaces import read_spaces
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.roles import Agent, Environment
+from glue.system import threads
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation, arrays_of
 

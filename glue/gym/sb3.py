@@ -25,9 +25,8 @@ except ImportError:
     raise ConfigError("this needs Stable-Baselines3: pip install 'glue-rl[sb3]'") from None
 
 from glue.gym.codec import Codec
-from glue.gym.infos import infos_of_step, split
-from glue.gym.modes import AutoresetMode
 from glue.gym.spaces import read_spaces
+from glue.gym.vectors import AutoresetMode, infos_of_step, split
 from glue.options import Option
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation

@@ -24,8 +24,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from glue.errors import ConfigError
-from glue.gym.codec import Codec
-from glue.gym.leaves import CHAR, DOUBLE, FLOATS, INT, INT32, SpaceLike
+from glue.gym.codec import CHAR, DOUBLE, FLOATS, INT, INT32, Codec, SpaceLike
 from glue.taskspec import RL_GLUE_3, Range, Space, TaskSpec
 
 _MARK: Final = "LAYOUT "

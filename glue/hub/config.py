@@ -15,7 +15,7 @@ An address that requires a known key, which decides the role and the sessions of
 
     Bind("tcp://0.0.0.0:4097", keys=Keys(secret, {public: Permit("carol", frozenset({Role.AGENT}))}))
 
-The time of agents can be limited, see `glue.hub.time_bank`:
+The time of agents can be limited, see `glue.hub.timing`:
 
     HubConfig(time=TimeLimits(step_seconds=0.5, bank_seconds=30))
 """
@@ -25,11 +25,11 @@ from __future__ import annotations
 import ipaddress
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from glue.errors import ConfigError
-from glue.hub.keys import Keys
 from glue.wire.limits import MAX_BODY, MAX_NAME
 from glue.wire.messages import Role
 
@@ -54,10 +54,57 @@ _BODIES: Final = 4
 _MAX_TIMEOUT: Final = 7 * 86400.0
 """Maximum timeout in seconds; libzmq counts milliseconds in 31 bits."""
 
+KEY_SIZE: Final = 32
+"""Size of a CURVE key, public or secret, in bytes."""
+
 _TCP: Final = re.compile(r"tcp://(?P<host>\[[0-9a-fA-F:]+\]|[^:/\[\]]+):(?P<port>\d{1,9}|\*)")
 _LEGACY: Final = re.compile(
     r"((?P<host>\[[0-9a-fA-F:]+\]|[^:/=\[\]]+):)?(?P<port>\d{1,9}|\*)(=(?P<session>.*))?"
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Permit:
+    """The roles and sessions permitted to the owner of a key.
+
+    Args:
+        name: the name that the owner of the hub gives to the owner of the key.
+        roles: the roles that the owner may take.
+        sessions: the sessions in which the owner may take them; None for all.
+    """
+
+    name: str
+    roles: frozenset[Role]
+    sessions: frozenset[str] | None = None
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return whether the owner of the key may join `session` as `role`."""
+        return role in self.roles and (self.sessions is None or session in self.sessions)
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The keys of one hub.
+
+    Args:
+        secret: the hub's own secret key.
+        permits: roles and sessions by public key; any other key may join nothing.
+
+    Raises:
+        ConfigError: a key does not have 32 bytes.
+    """
+
+    secret: bytes = field(repr=False)
+    permits: Mapping[bytes, Permit]
+
+    def __post_init__(self) -> None:
+        for key in (self.secret, *self.permits):
+            if len(key) != KEY_SIZE:
+                raise ConfigError(f"a key has {KEY_SIZE} bytes, not {len(key)}")
+
+    def __str__(self) -> str:
+        number = len(self.permits)
+        return f"{number} key{'s' * (number != 1)} may join"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +137,7 @@ class Bind:
         """Who else can join, unless keys or a file mode prevent it; otherwise empty."""
         if self.keys is not None or (self.url.startswith("ipc://") and self.url[6] != "@"):
             return ""
-        return "every user of this machine" if _is_local(self.url) else "everyone who reaches this machine"
+        return "every user of this machine" if is_local(self.url) else "everyone who reaches this machine"
 
     def announcement(self, endpoint: str) -> str:
         """Return a line that says where the hub listens, and who else can join there."""
@@ -109,7 +156,7 @@ class TimeLimits:
     """The time that an agent has in a session.
 
     An answer that takes longer than `step_seconds` drains the excess from a bank of `bank_seconds`. An agent
-    whose time is over is dismissed. See `glue.hub.time_bank`.
+    whose time is over is dismissed. See `glue.hub.timing`.
 
     Args:
         step_seconds: seconds per answer that do not drain the bank.
@@ -153,7 +200,7 @@ class HubConfig:
             By default a quarter of the machine's memory.
         insecure: allow addresses without keys that other machines can reach. Peers are not authenticated.
         time: limits of the agent in every session; None for none.
-        greeting: seconds that a connection may stay without a seat in a session; then it is dropped, at the
+        greeting: seconds that a connection may take part in no session; then it is dropped, at the
             next heartbeat.
         farewell: maximum number of seconds that the hub waits, when it ends, for its last messages to be read
             and for its last log lines to be written.
@@ -176,7 +223,7 @@ class HubConfig:
 
     def __post_init__(self) -> None:
         for bind in self.binds:
-            if not self.insecure and bind.keys is None and not _is_local(bind.url):
+            if not self.insecure and bind.keys is None and not is_local(bind.url):
                 raise ConfigError(
                     f"{bind.url} can be reached from other machines, and peers are not authenticated: "
                     "require keys (see glue-keys), bind tcp://127.0.0.1:PORT, or set insecure if the network "
@@ -209,7 +256,7 @@ class HubConfig:
         return tuple(Bind(bind) if isinstance(bind, str) else bind for bind in self.bind)
 
     @property
-    def max_seats(self) -> int:
+    def max_joined(self) -> int:
         """Maximum number of sessions per connection: a quarter of all, so that room is left for others."""
         return max(1, self.max_sessions // 4)
 
@@ -248,7 +295,7 @@ class LegacyPort:
             )
         host = match["host"] or "127.0.0.1"
         url = check_url(f"tcp://{host}:{match['port']}")
-        if not insecure and not _is_local(url):
+        if not insecure and not is_local(url):
             raise ConfigError(
                 f"{host} can be reached from other machines, and RL-Glue programs are not authenticated: "
                 "leave the host out, or set insecure if the network is your own",
@@ -296,7 +343,8 @@ def check_session(name: str) -> str:
     return name
 
 
-def _is_local(url: str) -> bool:
+def is_local(url: str) -> bool:
+    """Return whether only this machine can reach an address."""
     match = _TCP.fullmatch(url)
     if match is None:
         return True

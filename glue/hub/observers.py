@@ -8,29 +8,26 @@ are kept for it. Nor may observers exhaust the hub's memory: a message for which
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from glue.engine.engine import Engine
-from glue.hub.memory import Memory
+from glue.hub.channel import Channel, Memory
 from glue.wire.codec import clip
 from glue.wire.messages import Kind, Message, Value
-
-if TYPE_CHECKING:
-    from glue.hub.peer import Peer
 
 MAX_OBSERVERS: Final = 8
 """Maximum number of observers of one session."""
 
-_COPIES: Final = 3
-"""Maximum number of copies of a message that exist while it is sent, the encrypted ones included."""
+_COPIES: Final = 2
+"""Maximum number of copies of a message that exist while it is sent, the encrypted one included."""
 
 
 @dataclass(slots=True)
-class _View:
+class _Observer:
     """Number of moments that an observer still wants, number of the latest, and whether it lacks the spec."""
 
+    channel: Channel
     wanted: int = 0
     number: int = 0
     spec_due: bool = True
@@ -41,34 +38,32 @@ class Observers:
 
     Args:
         session: the session's name.
-        send: sends a message to an observer; returns False if it is gone or has not read the previous ones.
         memory: the hub's; what it has no room for is missed.
     """
 
-    def __init__(self, session: str, send: Callable[[Peer, Message], bool], memory: Memory) -> None:
+    def __init__(self, session: str, memory: Memory) -> None:
         self._session = session
-        self._send = send
         self._memory = memory
-        self._views: dict[Peer, _View] = {}
+        self._all: dict[Channel, _Observer] = {}
         self._episode = 0  # number of episodes begun since the first observer joined
 
     @property
-    def peers(self) -> list[Peer]:
-        """The observers of the session."""
-        return list(self._views)
+    def channels(self) -> list[Channel]:
+        """The channels of the observers."""
+        return list(self._all)
 
-    def join(self, peer: Peer, engine: Engine) -> None:
-        """Let `peer` observe, and send it the task spec, if there is one."""
-        self._views[peer] = _View()
+    def join(self, channel: Channel, engine: Engine) -> None:
+        """Let the peer of `channel` observe, and send it the task spec, if there is one."""
+        self._all[channel] = _Observer(channel)
         self._tell_spec(engine)
 
-    def leave(self, peer: Peer) -> None:
-        """Forget `peer`."""
-        del self._views[peer]
+    def leave(self, channel: Channel) -> None:
+        """Forget `channel`."""
+        del self._all[channel]
 
-    def want(self, peer: Peer, moments: int) -> None:
-        """Show `peer` the next `moments` moments, in place of any earlier request."""
-        self._views[peer].wanted = moments
+    def want(self, channel: Channel, moments: int) -> None:
+        """Show `channel` the next `moments` moments, in place of any earlier request."""
+        self._all[channel].wanted = moments
 
     def show(self, call: Message, scalars: tuple[Value, ...], body: bytes, engine: Engine) -> None:
         """Show the answer to `call`, which `engine` has received, if observers are shown such answers."""
@@ -81,32 +76,35 @@ class Observers:
             self._tell_spec(engine)  # to observers to which it could not be sent before
             self._show(Kind.OBSERVED_START, (self._episode,), body)
         elif kind is Kind.ENV_INIT:
-            for view in self._views.values():
-                view.spec_due = True
+            for observer in self._all.values():
+                observer.spec_due = True
             self._tell_spec(engine)
         elif kind is Kind.AGENT_MESSAGE:
             message = clip(call.body.decode(errors="replace"))
-            for peer, view in self._views.items():
-                self._tell(peer, view, Kind.OBSERVED_MESSAGE, (message,), body)
+            for observer in self._all.values():
+                self._tell(observer, Kind.OBSERVED_MESSAGE, (message,), body)
 
     def _show(self, kind: Kind, scalars: tuple[Value, ...], *bodies: bytes) -> None:
         """Show a moment to the observers that want one."""
-        for peer, view in self._views.items():
-            if not view.wanted:
-                view.number += 1
-            elif self._tell(peer, view, kind, scalars, *bodies):
-                view.wanted -= 1
+        for observer in self._all.values():
+            if not observer.wanted:
+                observer.number += 1
+            elif self._tell(observer, kind, scalars, *bodies):
+                observer.wanted -= 1
+
+    def _tell(self, observer: _Observer, kind: Kind, scalars: tuple[Value, ...], *bodies: bytes) -> bool:
+        observer.number += 1
+        return self._deliver(
+            observer.channel, Message(kind, self._session, observer.number, scalars), *bodies
+        )
 
     def _tell_spec(self, engine: Engine) -> None:
-        for peer, view in self._views.items():
-            if view.spec_due and engine.task_spec is not None:
-                view.spec_due = not self._deliver(peer, Kind.OBSERVED_INIT, 0, (), engine.task_spec)
+        message = Message(Kind.OBSERVED_INIT, self._session, 0)
+        for observer in self._all.values():
+            if observer.spec_due and engine.task_spec is not None:
+                observer.spec_due = not self._deliver(observer.channel, message, engine.task_spec)
 
-    def _tell(self, peer: Peer, view: _View, kind: Kind, scalars: tuple[Value, ...], *bodies: bytes) -> bool:
-        view.number += 1
-        return self._deliver(peer, kind, view.number, scalars, *bodies)
-
-    def _deliver(self, peer: Peer, kind: Kind, seq: int, scalars: tuple[Value, ...], *bodies: bytes) -> bool:
+    def _deliver(self, channel: Channel, message: Message, *bodies: bytes) -> bool:
         if not self._memory.has_room(_COPIES * sum(map(len, bodies))):
             return False
-        return self._send(peer, Message(kind, self._session, seq, scalars, b"".join(bodies)))
+        return channel.deliver(message._replace(body=b"".join(bodies)))

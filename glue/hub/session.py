@@ -10,15 +10,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
 from glue.engine.calls import skippable, unfit_for_batch, unsupported
 from glue.engine.engine import Engine, Instruction
 from glue.errors import PeerLost, RemoteProtocolError
+from glue.hub.channel import Channel, Memory
 from glue.hub.observers import Observers
-from glue.hub.peer import Board, Peer
-from glue.hub.slow import SlowCalls
-from glue.hub.time_bank import TimeBank
+from glue.hub.timing import SlowCalls, TimeBank
 from glue.types import CUT_OFF, Action
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
@@ -50,22 +49,81 @@ _MAX_QUERIES: Final = 8
 """Maximum number of requests without a call, between two calls, that are in turn."""
 
 
+class Peer:
+    """The program that fills a role, and the channel to it.
+
+    `name` is its name in error messages; `label` adds its language and library, for notices and the log.
+    """
+
+    __slots__ = (
+        "capabilities",
+        "channel",
+        "confirmed",
+        "instance",
+        "label",
+        "name",
+        "role",
+        "session",
+        "unreachable_since",
+    )
+
+    def __init__(
+        self,
+        session: Session,
+        role: Role,
+        channel: Channel,
+        instance: bytes,
+        name: str,
+        label: str,
+        capabilities: frozenset[str],
+        confirmed: bool,
+    ) -> None:
+        self.session: Session = session
+        self.role: Role = role
+        self.channel: Channel = channel
+        self.instance: bytes = instance
+        self.name: str = name
+        self.label: str = label
+        self.capabilities: frozenset[str] = capabilities
+        self.confirmed: bool = confirmed
+        self.unreachable_since: float | None = None
+
+
+class Host(Protocol):
+    """The hub's interface for sessions; see `glue.hub.sessions.Sessions`."""
+
+    memory: Memory
+    log: Callable[[str], None]
+
+    def deliver(self, peer: Peer, message: Message) -> None:
+        """Send `message` to `peer`, or note that the peer cannot be reached."""
+        ...
+
+    def end(self, session: Session, why: str) -> None:
+        """End a session: say goodbye to all its peers."""
+        ...
+
+    def dismiss(self, player: Peer, why: str) -> None:
+        """Say goodbye to a failed player, and continue without it; `why` completes a sentence about it."""
+        ...
+
+
 class Session:
     """One experiment's engine and its players.
 
     Args:
-        board: the hub.
+        host: the hub.
         name: the session's name.
         time: limits the time of the agent; None for no limit.
     """
 
     __slots__ = (
-        "_board",
         "_confirmed",
         "_due",
         "_engine",
         "_explained",
         "_heavy",
+        "_host",
         "_lost",
         "_lost_since_reply",
         "_outstanding",
@@ -81,11 +139,11 @@ class Session:
         "peers",
     )
 
-    def __init__(self, board: Board, name: str, time: TimeBank | None = None) -> None:
+    def __init__(self, host: Host, name: str, time: TimeBank | None = None) -> None:
         self.name: str = name
         self.peers: dict[Role, Peer] = {}
         self.observers: Observers | None = None
-        self._board = board
+        self._host = host
         self._time = time
         self._engine = Engine(Action().body)
         self._confirmed: dict[Role, bytes] = {}
@@ -102,7 +160,7 @@ class Session:
         self._due = False  # the size of the bodies that are kept has changed
         self._queries = 0  # number of requests without a call since the call `_queries_after`
         self._queries_after = 0
-        board.memory.hold(self, _BASE)
+        host.memory.account(self, _BASE)
 
     @property
     def num_steps(self) -> int:
@@ -110,13 +168,13 @@ class Session:
         return self._engine.num_steps
 
     @property
-    def seated(self) -> bool:
+    def in_session(self) -> bool:
         """Always true: connections that take part in no session are evicted first."""
         return True
 
     def evict(self, why: str) -> None:
         """End the session, which uses too much memory."""
-        self._board.end(self, why)
+        self._host.end(self, why)
 
     def _weigh(self) -> None:
         """Account for the bodies that are kept."""
@@ -126,7 +184,7 @@ class Session:
             sizes.append(len(reply.body))
         self._due = False
         self._heavy = max(sizes, default=0) > _LIGHT
-        self._board.memory.hold(self, _BASE + sum(sizes) if self._heavy else _BASE)
+        self._host.memory.account(self, _BASE + sum(sizes) if self._heavy else _BASE)
 
     def knows(self, role: Role, instance: bytes) -> bool:
         """Return whether `instance` was the last in that role, and has sent a request or an answer.
@@ -188,20 +246,20 @@ class Session:
         """Resend the message that `peer` may have missed; a peer ignores messages it has already received."""
         missed = self._reply if peer.role is Role.EXPERIMENT else self._outstanding
         if missed is not None and (peer.role is Role.EXPERIMENT or CALLS[missed.kind].callee is peer.role):
-            self._board.deliver(peer, missed)
+            self._host.deliver(peer, missed)
 
-    def observe(self, peer: Peer, send: Callable[[Peer, Message], bool]) -> None:
-        """Let `peer` observe; `send` sends it a message, or returns False."""
+    def observe(self, channel: Channel) -> None:
+        """Let the peer of `channel` observe."""
         if self.observers is None:
-            self.observers = Observers(self.name, send, self._board.memory)
-        self.observers.join(peer, self._engine)
+            self.observers = Observers(self.name, self._host.memory)
+        self.observers.join(channel, self._engine)
 
     def lose(self, peer: Peer, why: str, code: ErrorCode) -> None:
         """Remove `peer`: a lost player makes the episode void, a lost experiment is forgotten."""
         role = peer.role
         if self.observers is not None and role is Role.OBSERVER:
-            self.observers.leave(peer)
-            if not self.observers.peers:
+            self.observers.leave(peer.channel)
+            if not self.observers.channels:
                 self.observers = None
             return
         del self.peers[role]
@@ -223,7 +281,7 @@ class Session:
         agent = self.peers.get(Role.AGENT)
         why = None if self._time is None else self._time.overdue()
         if agent is not None and why is not None:
-            self._board.dismiss(agent, why)
+            self._host.dismiss(agent, why)
 
     def report_if_slow(self, now: float) -> None:
         """Report, at growing intervals, a player that has not answered its call."""
@@ -235,7 +293,7 @@ class Session:
         seconds = self._slow.overdue(call, now, explained)
         if player is not None and asked is not None and seconds is not None:
             text = f"{player.name} has not answered {asked.kind.name.lower()} for {seconds:.0f} s"
-            self._board.log(f"session {self.name!r}: {player.role} {text}")
+            self._host.log(f"session {self.name!r}: {player.role} {text}")
             self._notify(Event.SLOW, player.role, text)
 
     def explain(self, player: Peer, message: Message) -> None:
@@ -246,7 +304,7 @@ class Session:
         if CALLS[asked.kind].callee is player.role:
             self._explained = asked.seq
             text = clip(f"{player.name}: {message.scalars[2]!s}")
-            self._board.log(f"session {self.name!r}: {player.role} {text}")
+            self._host.log(f"session {self.name!r}: {player.role} {text}")
             self._notify(Event.SLOW, player.role, text)
 
     def request(self, peer: Peer, message: Message) -> bool:
@@ -304,7 +362,7 @@ class Session:
         if not peer.confirmed:
             self._confirm(peer)
         if self._time is not None and peer.role is Role.AGENT and (why := self._time.answered()) is not None:
-            self._board.dismiss(peer, why)
+            self._host.dismiss(peer, why)
             return True
         if kind is _ERROR:
             text = clip(str(scalars[1]))
@@ -380,7 +438,7 @@ class Session:
         if player is not None:
             if self._time is not None and player.role is Role.AGENT:
                 self._time.called(kind)
-            self._board.deliver(player, outstanding)
+            self._host.deliver(player, outstanding)
 
     def _without_capability(self, kind: Kind, role: Role, player: Peer) -> None:
         if skippable(kind):
@@ -400,15 +458,15 @@ class Session:
             self._weigh()
         experiment = self.peers.get(Role.EXPERIMENT)
         if experiment is not None:
-            self._board.deliver(experiment, reply)
+            self._host.deliver(experiment, reply)
 
     def _notify(self, event: Event, role: Role, text: str) -> None:
         experiment = self.peers.get(Role.EXPERIMENT)
         if experiment is not None:
-            self._board.deliver(experiment, Message(Kind.NOTICE, self.name, 0, (str(event), str(role), text)))
+            self._host.deliver(experiment, Message(Kind.NOTICE, self.name, 0, (str(event), str(role), text)))
 
     def _error(self, peer: Peer, message: Message, code: ErrorCode, text: str) -> None:
-        self._board.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), clip(text))))
+        self._host.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), clip(text))))
 
     def _forget_experiment(self) -> None:
         self._confirmed.pop(Role.EXPERIMENT, None)

@@ -1,6 +1,6 @@
 """The hub without its sockets: the members of sessions, and the consequences of losing a member.
 
-A `Switchboard` takes messages and the time, and hands messages to the routes of the peers.
+A `Sessions` takes messages and the time, and hands messages to the channels of the peers.
 
 - A peer identifies itself, in its HELLO, by a random number: its instance. The same instance over a new
   connection is the same peer, and continues where it was (see `glue.hub.session`). Until an instance has
@@ -15,12 +15,11 @@ from collections.abc import Callable
 from typing import Final
 
 from glue.errors import RemoteProtocolError
+from glue.hub.channel import Channel, Memory
 from glue.hub.config import HubConfig
-from glue.hub.memory import Memory
 from glue.hub.observers import MAX_OBSERVERS
-from glue.hub.peer import Peer, Route
-from glue.hub.session import Session
-from glue.hub.time_bank import TimeBank
+from glue.hub.session import Peer, Session
+from glue.hub.timing import TimeBank
 from glue.roles import CAPABILITIES
 from glue.wire.codec import UnknownKind, clip
 from glue.wire.messages import CALLS, OUTCOME, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
@@ -41,7 +40,7 @@ _MAX_LABEL: Final = 255
 """Maximum number of bytes kept of a peer's name and codec."""
 
 
-class Switchboard:
+class Sessions:
     """All sessions of a hub.
 
     Args:
@@ -62,47 +61,47 @@ class Switchboard:
         self.log = log
         self._now = 0.0
         self._clock = clock or (lambda: self._now)
-        self._sessions: dict[str, Session] = {}
-        self._seats: dict[Route, dict[str, Peer]] = {}
+        self._by_name: dict[str, Session] = {}
+        self._joined: dict[Channel, dict[str, Peer]] = {}
         """The peers of each connection, by session."""
-        self._left: Callable[[Route, str], None] = lambda route, session: None
+        self._left: Callable[[Channel, str], None] = lambda channel, session: None
 
-    def on_leave(self, left: Callable[[Route, str], None]) -> None:
-        """Call `left` with the route and the session whenever a route takes part in a session no longer."""
+    def on_leave(self, left: Callable[[Channel, str], None]) -> None:
+        """Call `left` with the channel and the session whenever a channel leaves a session."""
         self._left = left
 
-    def num_seats(self, route: Route) -> int:
-        """Return the number of sessions in which a route takes part."""
-        seats = self._seats.get(route)
-        return 0 if seats is None else len(seats)
+    def num_sessions(self, channel: Channel) -> int:
+        """Return the number of sessions in which a channel takes part."""
+        joined = self._joined.get(channel)
+        return 0 if joined is None else len(joined)
 
     def num_steps(self, session: str) -> int:
         """Return the current RL_num_steps of a session that has a peer."""
-        return self._sessions[session].num_steps
+        return self._by_name[session].num_steps
 
     def capabilities(self, session: str, role: Role) -> frozenset[str] | None:
         """Return the capabilities of a session's peer; None if there is no such peer."""
-        found = self._sessions.get(session)
+        found = self._by_name.get(session)
         peer = None if found is None else found.peers.get(role)
         return None if peer is None else peer.capabilities
 
-    def receive(self, route: Route, message: Message, now: float) -> bool:
-        """Act on a message from `route`; return whether it was in turn.
+    def receive(self, channel: Channel, message: Message, now: float) -> bool:
+        """Act on a message from `channel`; return whether it was in turn.
 
         The answer to the outstanding call is in turn, and so is a request while none is being carried out.
         """
         self._now = now
-        seats = self._seats.get(route)
+        joined = self._joined.get(channel)
         kind = message[0]
-        peer = None if seats is None else seats.get(message[1])
+        peer = None if joined is None else joined.get(message[1])
         if peer is not None and (kind in _CALLS or kind is Kind.ERROR):
             if peer.role is _EXPERIMENT:
                 return peer.session.request(peer, message)
             return peer.session.answer(peer, message)
         if peer is None or kind is Kind.HELLO:
-            self._receive_unknown(route, message)
+            self._receive_unknown(channel, message)
         elif kind is Kind.HEARTBEAT:
-            self.send(route, Message(Kind.HEARTBEAT, message.session, message.seq))
+            self.send(channel, Message(Kind.HEARTBEAT, message.session, message.seq))
         elif kind is Kind.NOTICE and message.scalars[0] == Event.SLOW:
             peer.session.explain(peer, message)
         elif kind is Kind.GOODBYE:
@@ -112,37 +111,37 @@ class Switchboard:
         elif kind is Kind.OBSERVE and peer.session.observers is not None and peer.role is Role.OBSERVER:
             moments = message.scalars[0]
             assert isinstance(moments, int)
-            peer.session.observers.want(peer, moments)
+            peer.session.observers.want(channel, moments)
         else:
             text = f"{kind.name} is not for this {peer.role} to send"
-            self._error(route, message, ErrorCode.NOT_ASKED, text)
+            self._error(channel, message, ErrorCode.NOT_ASKED, text)
         return False
 
-    def malformed(self, route: Route, error: RemoteProtocolError, now: float) -> None:
-        """Act on bytes from `route` that are not a message: their sender loses its seats.
+    def malformed(self, channel: Channel, error: RemoteProtocolError, now: float) -> None:
+        """Act on bytes from `channel` that are not a message: their sender leaves its sessions.
 
         A message of an unknown kind, which may be of a newer protocol, is only answered with an ERROR.
         """
         self._now = now
         if isinstance(error, UnknownKind):
             message = Message(Kind.ERROR, error.session, error.seq)
-            self._error(route, message, ErrorCode.UNKNOWN_KIND, str(error))
+            self._error(channel, message, ErrorCode.UNKNOWN_KIND, str(error))
             return
-        self._error(route, Message(Kind.ERROR, "", 0), ErrorCode.MALFORMED, str(error))
-        self.lose(route, f"sent a malformed message: {error}", now, ErrorCode.PEER_FAILED)
+        self._error(channel, Message(Kind.ERROR, "", 0), ErrorCode.MALFORMED, str(error))
+        self.lose(channel, f"sent a malformed message: {error}", now, ErrorCode.PEER_FAILED)
 
-    def lose(self, route: Route, why: str, now: float, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
-        """Continue without the peers of `route`; `why` completes a sentence about them."""
+    def lose(self, channel: Channel, why: str, now: float, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
+        """Continue without the peers of `channel`; `why` completes a sentence about them."""
         self._now = now
-        for peer in list(self._seats.get(route, {}).values()):
+        for peer in list(self._joined.get(channel, {}).values()):
             self._lose(peer, why, code)
 
     def tick(self, now: float) -> None:
         """Send every connection a heartbeat, and give up peers that have been unreachable for too long."""
         self._now = now
-        for route, seats in list(self._seats.items()):
-            reached = self.send(route, Message(Kind.HEARTBEAT, "", 0))
-            for peer in list(seats.values()):
+        for channel, joined in list(self._joined.items()):
+            reached = self.send(channel, Message(Kind.HEARTBEAT, "", 0))
+            for peer in list(joined.values()):
                 if not reached:
                     self._mark_unreachable(peer)
                 elif peer.unreachable_since is not None:
@@ -152,31 +151,31 @@ class Switchboard:
                 since = peer.unreachable_since
                 if since is not None and now - since >= self._config.timeout:
                     self._lose(peer, f"was unreachable for {now - since:.1f} s")
-        for session in list(self._sessions.values()):
+        for session in list(self._by_name.values()):
             session.report_if_slow(now)
             session.enforce_time()
-        self.memory.relieve()
+        self.memory.enforce()
 
     def close(self, reason: str) -> None:
         """Say goodbye to every peer, as the hub ends."""
-        for route, seats in self._seats.items():
-            for session in seats:
-                self.send(route, Message(Kind.GOODBYE, session, 0, (reason,)))
-        self._seats.clear()
-        self._sessions.clear()
+        for channel, joined in self._joined.items():
+            for session in joined:
+                self.send(channel, Message(Kind.GOODBYE, session, 0, (reason,)))
+        self._joined.clear()
+        self._by_name.clear()
 
-    def _receive_unknown(self, route: Route, message: Message) -> None:
+    def _receive_unknown(self, channel: Channel, message: Message) -> None:
         if message.kind is not Kind.HELLO:
             text = f"this connection has not joined session {message.session!r}; say HELLO first"
-            self._error(route, message, ErrorCode.UNKNOWN_PEER, text)
+            self._error(channel, message, ErrorCode.UNKNOWN_PEER, text)
             return
-        refusal = self._greet(route, message)
+        refusal = self._greet(channel, message)
         if refusal is not None:
             code, text = refusal
             self.log(f"refused a peer of session {message.session!r}: {text}")
-            self.send(route, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
+            self.send(channel, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
 
-    def _greet(self, route: Route, message: Message) -> tuple[ErrorCode, str] | None:
+    def _greet(self, channel: Channel, message: Message) -> tuple[ErrorCode, str] | None:
         """Admit the sender of a HELLO, or return why not."""
         versions, role_name, instance, name, codec, capabilities = message.scalars
         assert isinstance(versions, tuple)
@@ -198,26 +197,26 @@ class Switchboard:
                 ErrorCode.MALFORMED,
                 "the name of a session must have printable characters, and at least one",
             )
-        if not route.admits(role, message.session):
+        if not channel.admits(role, message.session):
             text = (
                 f"no {role} of session {message.session!r} may join at this address of the hub, or with this "
                 "key: ask whoever runs it"
             )
             return ErrorCode.NOT_ADMITTED, text
-        seats = self._seats.get(route, {})
-        if message.session not in seats and len(seats) >= self._config.max_seats:
-            text = f"this connection takes part in {len(seats)} sessions, the maximum; open another one"
+        joined = self._joined.get(channel, {})
+        if message.session not in joined and len(joined) >= self._config.max_joined:
+            text = f"this connection takes part in {len(joined)} sessions, the maximum; open another one"
             return ErrorCode.FULL, text
         if role is Role.OBSERVER:
-            return self._greet_observer(route, message, instance, str(name), str(codec))
-        session = self._sessions.get(message.session)
+            return self._greet_observer(channel, message, instance, str(name), str(codec))
+        session = self._by_name.get(message.session)
         if session is None:
-            if len(self._sessions) >= self._config.max_sessions:
+            if len(self._by_name) >= self._config.max_sessions:
                 text = f"this hub serves {self._config.max_sessions} sessions at once, and all are in use"
                 return ErrorCode.FULL, text
             bank = None if self._config.time is None else TimeBank(self._config.time, self._clock)
-            session = self._sessions[message.session] = Session(self, message.session, bank)
-        other = seats.get(message.session)
+            session = self._by_name[message.session] = Session(self, message.session, bank)
+        other = joined.get(message.session)
         if other is not None and other.role is not role:
             return ErrorCode.MALFORMED, f"this connection is already the {other.role} of the session"
         current = session.peers.get(role)
@@ -229,42 +228,42 @@ class Switchboard:
             current = None
         known = session.knows(role, instance)
         # Over one connection nothing is lost: the sender has read, or will read, the previous WELCOME.
-        resumed = known or (current is not None and current.route == route)
-        self._welcome(route, message, resumed)
+        resumed = known or (current is not None and current.channel == channel)
+        self._welcome(channel, message, resumed)
         if current is not None:
-            if current.route == route:
+            if current.channel == channel:
                 # It has missed nothing. Sending more again would let it fill the hub's memory.
                 return None
-            self._unseat(current)
+            self._remove(current)
         offered = _KNOWN.intersection(map(str, capabilities))
-        peer = Peer(session, role, route, instance, *_named(name, codec), offered, known)
-        self._sessions[session.name] = session
-        self._seats.setdefault(route, {})[session.name] = peer
+        peer = Peer(session, role, channel, instance, *_named(name, codec), offered, known)
+        self._by_name[session.name] = session
+        self._joined.setdefault(channel, {})[session.name] = peer
         if current is None:
             self.log(f"session {session.name!r}: {role} {peer.label} {'returned' if known else 'joined'}")
         session.join(peer, same=known or current is not None, announce=current is None)
         return None
 
-    def _welcome(self, route: Route, message: Message, resumed: bool) -> None:
+    def _welcome(self, channel: Channel, message: Message, resumed: bool) -> None:
         """Answer a HELLO whose sender is admitted."""
         config = self._config
         welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.timeout, config.max_body)
-        self.send(route, Message(Kind.WELCOME, message.session, message.seq, welcome))
+        self.send(channel, Message(Kind.WELCOME, message.session, message.seq, welcome))
 
     def _greet_observer(
-        self, route: Route, message: Message, instance: bytes, name: str, codec: str
+        self, channel: Channel, message: Message, instance: bytes, name: str, codec: str
     ) -> tuple[ErrorCode, str] | None:
         """Admit the sender of a HELLO as an observer, which opens no session, or return why not."""
-        session = self._sessions.get(message.session)
+        session = self._by_name.get(message.session)
         if session is None:
             return ErrorCode.NO_SESSION, f"there is no session {message.session!r} yet; say HELLO again later"
-        current = self._seats.get(route, {}).get(message.session)
+        current = self._joined.get(channel, {}).get(message.session)
         if current is not None:
             if current.role is not Role.OBSERVER:
                 return ErrorCode.MALFORMED, f"this connection is already the {current.role} of the session"
-            self._welcome(route, message, resumed=True)
+            self._welcome(channel, message, resumed=True)
             return None
-        others = session.observers.peers if session.observers is not None else []
+        others = self._observers(session)
         if len(others) >= MAX_OBSERVERS:
             gone = [other for other in others if not self._reach(other)]
             if not gone:
@@ -272,13 +271,17 @@ class Switchboard:
             for other in gone:
                 self._lose(other, "is gone")
         peer = Peer(
-            session, Role.OBSERVER, route, instance, *_named(name, codec), frozenset(), confirmed=True
+            session, Role.OBSERVER, channel, instance, *_named(name, codec), frozenset(), confirmed=True
         )
-        self._seats.setdefault(route, {})[session.name] = peer
+        self._joined.setdefault(channel, {})[session.name] = peer
         self.log(f"session {session.name!r}: observer {peer.label} joined")
-        self._welcome(route, message, resumed=False)
-        session.observe(peer, lambda observer, shown: self.send(observer.route, shown))
+        self._welcome(channel, message, resumed=False)
+        session.observe(channel)
         return None
+
+    def _observers(self, session: Session) -> list[Peer]:
+        channels = session.observers.channels if session.observers is not None else []
+        return [self._joined[channel][session.name] for channel in channels]
 
     def end(self, session: Session, why: str) -> None:
         """End a session: say goodbye to all its peers."""
@@ -288,11 +291,11 @@ class Switchboard:
             peer = session.peers.get(role)
             if peer is not None:
                 self._lose(peer, f"was dismissed: {why}")
-                self.send(peer.route, goodbye)
+                self.send(peer.channel, goodbye)
 
     def dismiss(self, player: Peer, why: str) -> None:
         """Say goodbye to a failed player, and continue without it; `why` completes a sentence about it."""
-        self.send(player.route, Message(Kind.GOODBYE, player.session.name, 0, (clip(f"it {why}"),)))
+        self.send(player.channel, Message(Kind.GOODBYE, player.session.name, 0, (clip(f"it {why}"),)))
         self._lose(player, why, ErrorCode.PEER_FAILED)
 
     def _end_run(self, session: Session) -> None:
@@ -300,41 +303,41 @@ class Switchboard:
         for player in list(session.peers.values()):
             if ONE_RUN in player.capabilities:
                 goodbye = Message(Kind.GOODBYE, session.name, 0, ("the experiment is over",))
-                self.send(player.route, goodbye)
+                self.send(player.channel, goodbye)
                 self._lose(player, "was dismissed: the experiment is over")
 
-    def _unseat(self, peer: Peer) -> None:
-        seats = self._seats[peer.route]
-        del seats[peer.session.name]
-        if not seats:
-            del self._seats[peer.route]
-        self._left(peer.route, peer.session.name)
+    def _remove(self, peer: Peer) -> None:
+        joined = self._joined[peer.channel]
+        del joined[peer.session.name]
+        if not joined:
+            del self._joined[peer.channel]
+        self._left(peer.channel, peer.session.name)
 
-    def send(self, route: Route, message: Message) -> bool:
+    def send(self, channel: Channel, message: Message) -> bool:
         """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
-        return route.deliver(message)
+        return channel.deliver(message)
 
     def _reach(self, peer: Peer) -> bool:
-        return self.send(peer.route, Message(Kind.HEARTBEAT, "", 0))
+        return self.send(peer.channel, Message(Kind.HEARTBEAT, "", 0))
 
     def _lose(self, peer: Peer, why: str, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         session = peer.session
-        self._unseat(peer)
+        self._remove(peer)
         self.log(f"session {session.name!r}: {peer.role} {peer.label} {why}")
         session.lose(peer, why, code)
         if not session.peers and peer.role is not Role.OBSERVER:
-            self._sessions.pop(session.name, None)
-            self.memory.hold(session, 0)
-            for observer in session.observers.peers if session.observers is not None else []:
-                self.send(observer.route, Message(Kind.GOODBYE, session.name, 0, ("the session is over",)))
+            self._by_name.pop(session.name, None)
+            self.memory.account(session, 0)
+            for observer in self._observers(session):
+                self.send(observer.channel, Message(Kind.GOODBYE, session.name, 0, ("the session is over",)))
                 self._lose(observer, "was dismissed: the session is over")
 
-    def _error(self, route: Route, message: Message, code: ErrorCode, text: str) -> None:
-        self.send(route, Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
+    def _error(self, channel: Channel, message: Message, code: ErrorCode, text: str) -> None:
+        self.send(channel, Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
 
     def deliver(self, peer: Peer, message: Message) -> None:
         """Send `message` to `peer`; start its timeout if it cannot be reached."""
-        if not peer.route.deliver(message):
+        if not peer.channel.deliver(message):
             self._mark_unreachable(peer)
 
     def _mark_unreachable(self, peer: Peer) -> None:

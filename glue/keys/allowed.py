@@ -23,8 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from glue.errors import ConfigError
-from glue.hub.config import check_session
-from glue.hub.keys import Keys, Permit
+from glue.hub.config import Keys, Permit, check_session
 from glue.keys.certificates import PUBLIC, SECRET, KeyPair, read_pair, read_public
 from glue.keys.files import check_directory, read_own
 from glue.suggestions import did_you_mean

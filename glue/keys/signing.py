@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from glue.doors import chance
 from glue.errors import ConfigError
+from glue.system import chance
 
 try:
     from nacl.bindings import (

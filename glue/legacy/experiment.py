@@ -11,14 +11,7 @@ from glue.engine.engine import EPISODE_VERBS
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.legacy.codec import TO_EXPERIMENT, Control, Frame, encode
 from glue.legacy.peers import LegacyPeer
-from glue.legacy.states import (
-    EXPERIMENT,
-    SENDING,
-    ExperimentEvent,
-    ExperimentState,
-    Sending,
-    SendingEvent,
-)
+from glue.legacy.states import EXPERIMENT, ExperimentEvent, ExperimentState
 from glue.types import Action, body_size
 from glue.wire.messages import Event, Kind, Message
 
@@ -52,7 +45,15 @@ class LegacyExperiment(LegacyPeer):
     _has_stepped = False
     """Whether any step so far did not end its episode."""
 
-    _sending = Sending.ONE_BY_ONE
+    _sends_ahead = False
+    """Whether the newest request was sent before the reply to the previous one, or is followed by another.
+
+    A program that waits for each reply has left if its data ends; only a program that sends requests ahead
+    closes its sending half while it still needs the other half.
+    """
+
+    _closed = False
+    """Whether the sending half is closed, and the program waits for replies."""
 
     _ahead: Frame | None = None
     """The request after the newest one, if it was read before its turn."""
@@ -100,14 +101,13 @@ class LegacyExperiment(LegacyPeer):
         self._connection.send(frame)
         if kind is _RL_STEP:
             self._loop.expect(self._connection)  # the next request soon follows
-        ended = self._sending is Sending.CLOSED
-        if ended:
+        if self._closed:
             self._expect_end()
-        if self._decoder.buffered or ended:
+        if self._decoder.buffered or self._closed:
             self._connection.later()
 
     def _num_steps(self) -> int:
-        return self._switchboard.num_steps(self._session)
+        return self._sessions.num_steps(self._session)
 
     def _fail(self, kind: Kind, why: str) -> None:
         repeatable = kind not in EPISODE_VERBS
@@ -130,14 +130,14 @@ class LegacyExperiment(LegacyPeer):
         if self._state is ExperimentState.FAILED:
             self._on(ExperimentEvent.LEFT)
             connection.reset()
-            self._switchboard.lose(self, self._failure, now)
+            self._sessions.lose(self, self._failure, now)
             return
         try:
             self._take_up(now)
         except RemoteProtocolError as error:
             self._on(ExperimentEvent.LEFT)
             connection.reset()
-            self._switchboard.malformed(self, error, now)
+            self._sessions.malformed(self, error, now)
 
     def _take_up(self, now: float) -> None:
         """Start at most one request, so that every session gets its turn, and receive more data."""
@@ -150,15 +150,13 @@ class LegacyExperiment(LegacyPeer):
         early = request is not None and self._request is not None
         if request is None:
             # Only now, so that requests made before the connection was closed are executed.
-            data = connection.receive() if self._sending is not Sending.CLOSED or not self._is_free else b""
+            data = connection.receive() if not (self._closed and self._is_free) else b""
             if data:
                 decoder.receive_data(data)
                 request = self._next_request()
-            elif data == b"":
-                self._end_sending()
-                if self._sending is Sending.OVER:
-                    self._end(now)
-                    return
+            elif data == b"" and self._has_left():
+                self._end(now)
+                return
         incomplete = request is None and self._is_free
         if request is not None:
             if request.kind is Control.TERMINATE:
@@ -166,14 +164,13 @@ class LegacyExperiment(LegacyPeer):
                 self._leave(now)
                 return
             assert isinstance(request.kind, Kind)
-            is_ahead = early or decoder.buffered > 0
-            self._on_sending(SendingEvent.REQUEST_AHEAD if is_ahead else SendingEvent.REQUEST)
+            self._sends_ahead = early or decoder.buffered > 0
             self._seq += 1
             self._carry_out(_message(Message, (request.kind, self._session, self._seq, *request[1:])), now)
             if decoder.buffered and self._is_free:
                 connection.later()
         wanted = incomplete or decoder.buffered < READ_AHEAD
-        connection.read(wanted and self._sending is not Sending.CLOSED)
+        connection.read(wanted and not self._closed)
 
     @property
     def _is_free(self) -> bool:
@@ -186,28 +183,24 @@ class LegacyExperiment(LegacyPeer):
         ahead, self._ahead = self._ahead, None
         return ahead or self._decoder.next_event()
 
-    def _on_sending(self, event: SendingEvent) -> None:
-        self._sending = SENDING[self._sending][event]
-
-    def _end_sending(self) -> None:
-        """Handle the end of the program's data."""
-        if self._is_free:
-            self._on_sending(SendingEvent.END_AFTER_REPLIES)
-            return
+    def _has_left(self) -> bool:
+        """Return whether the end of its data means that the program has left; if not, expect its end."""
+        if self._is_free or self._closed:
+            return True
         if self._ahead is None:
             self._ahead = self._decoder.next_event()
-            if self._ahead is not None and self._ahead.kind is not Control.TERMINATE:
-                self._on_sending(SendingEvent.REQUEST_AHEAD)
-        self._on_sending(SendingEvent.END)
-        if self._sending is Sending.CLOSED:
+            self._sends_ahead |= self._ahead is not None and self._ahead.kind is not Control.TERMINATE
+        if self._sends_ahead:
+            self._closed = True
             self._expect_end()
+        return not self._closed
 
     def _carry_out(self, request: Message, now: float) -> None:
         self._on(ExperimentEvent.REQUEST)
         self._request = request
         if request.body:
             self._weigh()  # what is kept without having been buffered
-        self._switchboard.receive(self, request, now)
+        self._sessions.receive(self, request, now)
 
     def _expect_end(self) -> None:
         """Apply the hub's timeout to the pending request: its sender may be gone."""

@@ -1,7 +1,7 @@
 """Original RL-Glue programs as peers of the hub: listeners in the hub's own loop.
 
 To a session an original program is a peer like any other. Its frames are translated into messages to the
-switchboard, and the switchboard's messages are translated into frames, one at a time:
+sessions, and the sessions's messages are translated into frames, one at a time:
 
 - A player, that is an agent or environment, is sent a call only after it has answered the previous one, even
   if that answer is no longer needed: a Java program loses a frame that arrives together with another.
@@ -14,7 +14,7 @@ switchboard, and the switchboard's messages are translated into frames, one at a
   repeated from its beginning with another player, it is. If not, the connection is reset: if it were merely
   closed, C programs would continue with stale data, and Python programs would hang.
 
-The first two rules, and the consequences of a lost player, are the tables of `glue.legacy.states`.
+The first rule, and the consequences of a lost player, are the tables of `glue.legacy.states`.
 
 Source: RL-Glue core 3.04, RL_network_glue.c; rl-glue-ext, the C, Java and Python codecs.
 """
@@ -27,7 +27,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
-from glue.doors import network
 from glue.errors import RemoteProtocolError
 from glue.hub.config import LegacyPort
 from glue.hub.io.connection import Connection
@@ -46,6 +45,7 @@ from glue.legacy.codec import (
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.peers import LegacyPlayer
 from glue.legacy.pending import Pending
+from glue.system import network
 from glue.wire.messages import Kind, Role
 
 _ROLES: Final[Mapping[Kind | Control, Role]] = {

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from glue.doors import chance, clock
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.hub.config import LegacyPort
 from glue.hub.io.connection import Connection
@@ -24,10 +23,11 @@ from glue.legacy.codec import (
 )
 from glue.legacy.pending import Pending
 from glue.legacy.states import PLAYER, PlayerEvent, PlayerState
+from glue.system import chance, clock
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 _BASE: Final = 8192
-"""Bytes that a program's connection and its seat use at most besides what it has received and not sent."""
+"""Bytes that a program's connection and its peer use at most besides what it has received and not sent."""
 
 _CODEC: Final = "RL-Glue 3.x"
 
@@ -45,13 +45,13 @@ _message: Final = tuple.__new__
 
 
 class LegacyPeer:
-    """An original program in its role; a route of the switchboard."""
+    """An original program in its role; a channel of the sessions."""
 
     def __init__(
         self, pending: Pending, connection: Connection, decoder: Decoder, role: Role, port: LegacyPort
     ) -> None:
         self._pending = pending
-        self._switchboard = pending.hub.switchboard
+        self._sessions = pending.hub.sessions
         self._loop = pending.hub.loop
         self._connection = connection
         self._decoder = decoder
@@ -64,7 +64,7 @@ class LegacyPeer:
         pending.on_tick(self._weigh)
 
     def join(self, now: float) -> None:
-        """Ask the switchboard for the role."""
+        """Ask the sessions for the role."""
         capabilities = () if self._role is Role.EXPERIMENT else (ONE_RUN,)
         instance = chance.random_bytes(INSTANCE_SIZE)
         # Its protocol declares no name. Its address differs in each trial, so it must not name it in results.
@@ -75,7 +75,7 @@ class LegacyPeer:
             self._connection.later()
 
     def deliver(self, message: Message) -> bool:
-        """Accept a message from the switchboard; return False if the program is gone."""
+        """Accept a message from the sessions; return False if the program is gone."""
         connection = self._connection
         if connection.closed:
             return False
@@ -90,7 +90,7 @@ class LegacyPeer:
         return delivered
 
     def _take(self, message: Message) -> bool:
-        """Handle a message from the switchboard; return False if the program is gone."""
+        """Handle a message from the sessions; return False if the program is gone."""
         raise NotImplementedError
 
     def admits(self, role: Role, session: str) -> bool:
@@ -98,18 +98,18 @@ class LegacyPeer:
         return role in self._port.roles and session == self._port.session
 
     @property
-    def seated(self) -> bool:
+    def in_session(self) -> bool:
         """Whether it takes part in a session."""
-        return self._switchboard.num_seats(self) > 0
+        return self._sessions.num_sessions(self) > 0
 
     def evict(self, why: str) -> None:
         """Drop the connection, which uses too much memory."""
         self._connection.reset()
-        self._switchboard.lose(self, f"was dropped: {why}", clock.monotonic())
+        self._sessions.lose(self, f"was dropped: {why}", clock.monotonic())
 
     def failed(self, now: float) -> None:
         """Leave the session: the connection was reset after an error of the hub."""
-        self._switchboard.lose(self, "was dropped after an error of the hub", now)
+        self._sessions.lose(self, "was dropped after an error of the hub", now)
 
     def _weigh(self) -> bool:
         """Account for data not handled yet or not sent; return False once the connection has closed.
@@ -122,7 +122,7 @@ class LegacyPeer:
             held = _BASE + self._decoder.buffered + connection.unsent + self._kept()
         if held != self._held:
             self._held = held
-            self._switchboard.memory.hold(self, held)
+            self._sessions.memory.account(self, held)
         return not connection.closed
 
     def _kept(self) -> int:
@@ -132,18 +132,18 @@ class LegacyPeer:
     def ready(self, now: float) -> None:
         """Handle received data, and account for its memory."""
         self._work(now)
-        connection, memory = self._connection, self._switchboard.memory
+        connection, memory = self._connection, self._sessions.memory
         if self._decoder.buffered or connection.unsent or connection.closed or self._held != _BASE:
             self._weigh()
         if memory.exceeded:
-            memory.relieve()
+            memory.enforce()
 
     def _work(self, now: float) -> None:
         """Receive and handle data."""
         raise NotImplementedError
 
     def _send(self, message: Message, now: float) -> None:
-        self._switchboard.receive(self, message, now)
+        self._sessions.receive(self, message, now)
 
 
 class LegacyPlayer(LegacyPeer):
@@ -224,13 +224,13 @@ class LegacyPlayer(LegacyPeer):
                 self._finish_call(answer, now)
         except RemoteProtocolError as error:
             self._on(PlayerEvent.LOST)
-            self._switchboard.malformed(self, error, now)
+            self._sessions.malformed(self, error, now)
             self._pending.terminate(connection)
             return
         if data == b"" and self._state is not _GONE:
             self._on(PlayerEvent.LOST)
             connection.close()
-            self._switchboard.lose(self, "closed its connection", now)
+            self._sessions.lose(self, "closed its connection", now)
 
     def _finish_call(self, answer: Frame, now: float) -> None:
         """Act on the answer to the call, which is of its kind, or an error in its place."""
@@ -239,7 +239,7 @@ class LegacyPlayer(LegacyPeer):
         if state is _IDLE:
             kind, scalars, body = answer
             message = _message(Message, (kind, self._session, self._seq, scalars, body))
-            self._switchboard.receive(self, message, now)
+            self._sessions.receive(self, message, now)
         elif state is _BUSY:
             call, self._next = self._next, None  # the session keeps it as long as it is needed
             assert call is not None

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from glue.doors import clock
 from glue.hub.io.connection import Connection, take_leave
 from glue.hub.io.log import Log
 from glue.hub.io.server import Hub
 from glue.legacy.codec import TO_AGENT, Control, Frame, encode
+from glue.system import clock
 
 MAX_PENDING: Final = 256
 """Maximum number of connections without a role; one more closes the oldest."""

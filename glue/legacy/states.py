@@ -43,29 +43,19 @@ class PlayerEvent(IntEnum):
     """The player has closed its connection, violated the protocol, or not answered in time."""
 
 
+_P, _On = PlayerState, PlayerEvent
+
 PLAYER: Final[Mapping[PlayerState, Mapping[PlayerEvent, PlayerState]]] = {
-    PlayerState.IDLE: {
-        PlayerEvent.CALL: PlayerState.BUSY,
-        PlayerEvent.DISMISSED: PlayerState.GONE,
-        PlayerEvent.LOST: PlayerState.GONE,
+    _P.IDLE: {_On.CALL: _P.BUSY, _On.DISMISSED: _P.GONE, _On.LOST: _P.GONE},
+    _P.BUSY: {_On.CALL: _P.SUPERSEDED, _On.ANSWER: _P.IDLE, _On.DISMISSED: _P.LEAVING, _On.LOST: _P.GONE},
+    _P.SUPERSEDED: {
+        _On.CALL: _P.SUPERSEDED,
+        _On.ANSWER: _P.BUSY,
+        _On.DISMISSED: _P.LEAVING,
+        _On.LOST: _P.GONE,
     },
-    PlayerState.BUSY: {
-        PlayerEvent.CALL: PlayerState.SUPERSEDED,
-        PlayerEvent.ANSWER: PlayerState.IDLE,
-        PlayerEvent.DISMISSED: PlayerState.LEAVING,
-        PlayerEvent.LOST: PlayerState.GONE,
-    },
-    PlayerState.SUPERSEDED: {
-        PlayerEvent.CALL: PlayerState.SUPERSEDED,
-        PlayerEvent.ANSWER: PlayerState.BUSY,
-        PlayerEvent.DISMISSED: PlayerState.LEAVING,
-        PlayerEvent.LOST: PlayerState.GONE,
-    },
-    PlayerState.LEAVING: {
-        PlayerEvent.ANSWER: PlayerState.GONE,
-        PlayerEvent.LOST: PlayerState.GONE,
-    },
-    PlayerState.GONE: {},
+    _P.LEAVING: {_On.ANSWER: _P.GONE, _On.LOST: _P.GONE},
+    _P.GONE: {},
 }
 
 
@@ -101,85 +91,25 @@ class ExperimentEvent(IntEnum):
     """The experiment has left, violated the protocol, or been dismissed by the hub."""
 
 
+_E, _When = ExperimentState, ExperimentEvent
+
 EXPERIMENT: Final[Mapping[ExperimentState, Mapping[ExperimentEvent, ExperimentState]]] = {
-    ExperimentState.IDLE: {
-        ExperimentEvent.REQUEST: ExperimentState.WAITING,
-        ExperimentEvent.PLAYER_LOST: ExperimentState.IDLE,
-        ExperimentEvent.LEFT: ExperimentState.GONE,
+    _E.IDLE: {_When.REQUEST: _E.WAITING, _When.PLAYER_LOST: _E.IDLE, _When.LEFT: _E.GONE},
+    _E.WAITING: {
+        _When.REPLY: _E.IDLE,
+        _When.PLAYER_LOST: _E.BEREFT,
+        _When.REPEATABLE_FAILURE: _E.FAILED,
+        _When.FAILURE: _E.FAILED,
+        _When.LEFT: _E.GONE,
     },
-    ExperimentState.WAITING: {
-        ExperimentEvent.REPLY: ExperimentState.IDLE,
-        ExperimentEvent.PLAYER_LOST: ExperimentState.BEREFT,
-        ExperimentEvent.REPEATABLE_FAILURE: ExperimentState.FAILED,
-        ExperimentEvent.FAILURE: ExperimentState.FAILED,
-        ExperimentEvent.LEFT: ExperimentState.GONE,
+    _E.BEREFT: {
+        _When.REPLY: _E.IDLE,
+        _When.PLAYER_LOST: _E.BEREFT,
+        _When.REPEATABLE_FAILURE: _E.RETRYING,
+        _When.FAILURE: _E.FAILED,
+        _When.LEFT: _E.GONE,
     },
-    ExperimentState.BEREFT: {
-        ExperimentEvent.REPLY: ExperimentState.IDLE,
-        ExperimentEvent.PLAYER_LOST: ExperimentState.BEREFT,
-        ExperimentEvent.REPEATABLE_FAILURE: ExperimentState.RETRYING,
-        ExperimentEvent.FAILURE: ExperimentState.FAILED,
-        ExperimentEvent.LEFT: ExperimentState.GONE,
-    },
-    ExperimentState.RETRYING: {
-        ExperimentEvent.REQUEST: ExperimentState.WAITING,
-        ExperimentEvent.PLAYER_LOST: ExperimentState.RETRYING,
-        ExperimentEvent.LEFT: ExperimentState.GONE,
-    },
-    ExperimentState.FAILED: {
-        ExperimentEvent.PLAYER_LOST: ExperimentState.FAILED,
-        ExperimentEvent.LEFT: ExperimentState.GONE,
-    },
-    ExperimentState.GONE: {},
-}
-
-
-class Sending(IntEnum):
-    """The way in which an experiment sends requests, which tells whether it may still wait for replies."""
-
-    ONE_BY_ONE = auto()
-    """Each request was sent after the reply to the previous one."""
-    AHEAD = auto()
-    """The newest request was sent before the reply to the previous one, or is followed by another."""
-    CLOSED = auto()
-    """The sending half is closed, and the experiment waits for replies."""
-    OVER = auto()
-    """The connection is closed, or its sending half was closed after the last reply."""
-
-
-class SendingEvent(IntEnum):
-    """A request from an experiment, or the end of its data."""
-
-    REQUEST = auto()
-    """A request that no other data follows."""
-    REQUEST_AHEAD = auto()
-    """A request that was sent before a reply, or is followed by another."""
-    END = auto()
-    """The end of the data, or of the connection, while a reply is outstanding."""
-    END_AFTER_REPLIES = auto()
-    """The end of the data after the last reply."""
-
-
-SENDING: Final[Mapping[Sending, Mapping[SendingEvent, Sending]]] = {
-    # A program that waits for each reply has left if its data ends; only a program that sends requests ahead
-    # closes its sending half while it still needs the other half.
-    Sending.ONE_BY_ONE: {
-        SendingEvent.REQUEST: Sending.ONE_BY_ONE,
-        SendingEvent.REQUEST_AHEAD: Sending.AHEAD,
-        SendingEvent.END: Sending.OVER,
-        SendingEvent.END_AFTER_REPLIES: Sending.OVER,
-    },
-    Sending.AHEAD: {
-        SendingEvent.REQUEST: Sending.ONE_BY_ONE,
-        SendingEvent.REQUEST_AHEAD: Sending.AHEAD,
-        SendingEvent.END: Sending.CLOSED,
-        SendingEvent.END_AFTER_REPLIES: Sending.OVER,
-    },
-    Sending.CLOSED: {
-        SendingEvent.REQUEST: Sending.CLOSED,
-        SendingEvent.REQUEST_AHEAD: Sending.CLOSED,
-        SendingEvent.END: Sending.OVER,
-        SendingEvent.END_AFTER_REPLIES: Sending.OVER,
-    },
-    Sending.OVER: {},
+    _E.RETRYING: {_When.REQUEST: _E.WAITING, _When.PLAYER_LOST: _E.RETRYING, _When.LEFT: _E.GONE},
+    _E.FAILED: {_When.PLAYER_LOST: _E.FAILED, _When.LEFT: _E.GONE},
+    _E.GONE: {},
 }

@@ -7,9 +7,9 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final
 
-from glue.doors import clock
 from glue.engine.experiment import Experiment
 from glue.errors import ConfigError
+from glue.system import clock
 
 _SECONDS: Final = 0.5
 """Minimum time in seconds between two drawings."""

@@ -7,9 +7,9 @@ from types import TracebackType
 from typing import Self
 
 from glue.client.players import serve_agent, serve_environment
-from glue.doors.threads import Event, Thread
 from glue.errors import ConfigError
 from glue.roles import AgentLike, EnvironmentLike
+from glue.system.threads import Event, Thread
 
 
 class Served:

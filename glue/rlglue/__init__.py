@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from glue.errors import ConfigError
 from glue.plugins.loading import find
-from glue.rlglue.andnp import AndnpAgent, AndnpEnvironment
-from glue.rlglue.borrowed import adapted
-from glue.rlglue.codec import CodecAgent, CodecEnvironment
+from glue.rlglue.adapters import AndnpAgent, AndnpEnvironment, CodecAgent, CodecEnvironment, adapted
 from glue.rlglue.package import provide
 from glue.wire.messages import Role
 

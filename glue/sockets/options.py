@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from glue.doors import network
+from glue.system import network
 
 _PROBES: Final = 3
 """Unanswered probes after which a silent host is considered gone."""

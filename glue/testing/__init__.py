@@ -19,28 +19,18 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # not imported: see glue.cli.entry
 if TYPE_CHECKING:
-    from typing import Any, Final
+    from typing import Any
 
-    from glue.conform.peers.rules import HubRule
-    from glue.testing.hub import check_hub
-    from glue.testing.players import check_agent, check_environment
-    from glue.testing.rules import ContractBroken, Rule
+    from glue.testing.hub import HubRule, check_hub
+    from glue.testing.players import ContractBroken, Rule, check_agent, check_environment
 
 __all__ = ["ContractBroken", "HubRule", "Rule", "check_agent", "check_environment", "check_hub"]
-
-_HOMES: Final = {
-    "check_hub": "glue.testing.hub",
-    "check_agent": "glue.testing.players",
-    "check_environment": "glue.testing.players",
-    "ContractBroken": "glue.testing.rules",
-    "HubRule": "glue.conform.peers.rules",
-    "Rule": "glue.testing.rules",
-}
 
 
 def __getattr__(name: str) -> Any:
     """Import a check when it is first used, so that `glue-conform --help` imports none."""
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module 'glue.testing' has no attribute {name!r}")
-    found = globals()[name] = getattr(import_module(_HOMES[name]), name)
+    home = "hub" if "hub" in name.lower() else "players"
+    found = globals()[name] = getattr(import_module(f"glue.testing.{home}"), name)
     return found

@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
-from glue.conform.peers.checking import judged_rules
-from glue.conform.peers.rules import HubRule
-from glue.testing.rules import ContractBroken
+from enum import EnumMeta, StrEnum
+from typing import TYPE_CHECKING
+
+from glue.conform.hubs.judge import judge_hub
+from glue.conform.hubs.rules import RULES
+from glue.conform.rules import Outcome
+from glue.testing.players import ContractBroken
+
+if TYPE_CHECKING:
+
+    class _AnyName(EnumMeta):
+        def __getattr__(cls, name: str) -> HubRule: ...
+
+    class HubRule(StrEnum, metaclass=_AnyName):
+        """Rules for hubs, in the order in which they are judged; see docs/protocol-reference.md."""
+
+else:
+    HubRule = StrEnum("HubRule", {rule.name.replace("-", "_").upper(): rule.text for rule in RULES})
 
 
 def check_hub(url: str, *, wait: float = 10.0) -> None:
@@ -22,6 +37,6 @@ def check_hub(url: str, *, wait: float = 10.0) -> None:
         ContractBroken: the message names the broken rule, and what was received.
         ConfigError: `url` is malformed.
     """
-    for rule, broken in judged_rules(url, wait):
-        if broken is not None:
-            raise ContractBroken(HubRule(rule.text), broken.received) from broken
+    for verdict in judge_hub(url, wait=wait):
+        if verdict.outcome is Outcome.FAILED:
+            raise ContractBroken(HubRule(verdict.rule.text), verdict.received)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from glue.conform.hub.mirror import main
+from glue.conform.clients.mirror import main
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

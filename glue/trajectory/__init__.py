@@ -16,13 +16,12 @@ docs/trajectories.md describes every byte. The packed stream is flushed at the e
 a writer that is killed leaves all complete episodes behind.
 """
 
-from glue.trajectory.actions import ActionSteps, ActionWriter, Block
 from glue.trajectory.limits import MAX_BODY, MAX_EPISODE, MAX_STEPS, MAX_TEXT
 from glue.trajectory.reader import TrajectoryReader
 from glue.trajectory.records import MAGIC, Answer, Ending, Episode, Run
-from glue.trajectory.steps import Transition
+from glue.trajectory.steps import ActionSteps, Block, Transition
 from glue.trajectory.unpacked import TrajectoryError
-from glue.trajectory.writer import TrajectoryWriter
+from glue.trajectory.writer import ActionWriter, TrajectoryWriter
 
 __all__ = [
     "MAGIC",

@@ -9,13 +9,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+import numpy.typing as npt
+
 from glue.files import open_regular
 from glue.trajectory import limits
-from glue.trajectory.actions import ActionSteps, read_block
 from glue.trajectory.records import (
     ANSWER,
     BEGIN,
     BLOCK,
+    COUNTS,
     ENDINGS,
     MAGIC,
     MESSAGE,
@@ -30,8 +33,9 @@ from glue.trajectory.records import (
     Episode,
     Run,
     is_plain,
+    width,
 )
-from glue.trajectory.steps import Steps
+from glue.trajectory.steps import ActionSteps, Block, Steps
 from glue.trajectory.unpacked import Torn, TrajectoryError, Unpacked
 from glue.types import Observation
 
@@ -127,12 +131,33 @@ def _actions_only(
     """Read an episode without observations; `begin` is the offset of its first record."""
     steps = ActionSteps()
     while (kind := unpacked.take(1)) == BLOCK:
-        steps.append(read_block(unpacked, begin + limits.MAX_EPISODE))
+        steps.append(_block(unpacked, begin + limits.MAX_EPISODE))
         _check_size(unpacked, begin, 0)
     if kind not in ENDINGS or (kind == TERMINAL_END and not steps):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
     steps.end(kind == TERMINAL_END)
     return Episode(run, messages, None, steps, ENDINGS[kind], tuple(answers))
+
+
+def _block(unpacked: Unpacked, end: int) -> Block:
+    """Read a block of steps, whose actions may not pass the offset `end`."""
+    steps, k, m = COUNTS.unpack(unpacked.take(COUNTS.size))
+    if not (1 <= steps <= limits.MAX_BLOCK and 1 <= k <= steps and 1 <= m <= steps):
+        raise unpacked.malformed(f"a block of {steps} steps with {k} actions and {m} rewards")
+    actions = []
+    for _ in range(k):
+        actions.append(unpacked.body(limits.MAX_BODY))
+        if unpacked.offset > end:
+            raise unpacked.malformed(f"an episode of more than {limits.MAX_EPISODE} bytes")
+
+    def column(dtype: str, count: int) -> npt.NDArray[Any]:
+        return np.frombuffer(unpacked.take(count * np.dtype(dtype).itemsize), dtype)
+
+    rewards = column("<f8", m)
+    choices, paid = column(width(k), steps), column(width(m), steps)
+    if choices.max() >= k or paid.max() >= m:
+        raise unpacked.malformed("a step with an action or reward that its block does not have")
+    return Block(tuple(actions), choices, rewards[paid])
 
 
 def _answer(unpacked: Unpacked, step: int) -> Answer:

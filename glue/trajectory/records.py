@@ -21,6 +21,7 @@ RUN, MESSAGE, START, STEP, TERMINAL_STEP, CUTOFF, VOID = b"R", b"M", b"O", b"S",
 ANSWER: Final = b"A"
 BEGIN, BLOCK, TERMINAL_END = b"B", b"P", b"E"  # of an actions-only episode
 LENGTH: Final = struct.Struct("<I")
+COUNTS: Final = struct.Struct("<III")  # of a block: its steps, distinct actions and distinct rewards
 REWARD: Final = struct.Struct("<d")
 
 
@@ -134,3 +135,8 @@ def run_record(run: Run) -> bytes:
         "state": run.state.hex(),
     }
     return text_record(RUN, json.dumps(fields))
+
+
+def width(count: int) -> str:
+    """Return the smallest dtype that holds the integers below `count`."""
+    return "<u1" if count <= 2**8 else "<u2" if count <= 2**16 else "<u4"

@@ -5,8 +5,12 @@ from __future__ import annotations
 import struct
 from abc import abstractmethod
 from array import array
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from typing import ClassVar, Final, NamedTuple, overload
+from typing import Any, ClassVar, Final, NamedTuple, overload
+
+import numpy as np
+import numpy.typing as npt
 
 from glue.types import Action, Observation, body_size
 
@@ -86,3 +90,49 @@ class Steps(StepSequence):
             Observation._wrap(record[middle:]),
             self._terminal and index == len(self) - 1,
         )
+
+
+class Block(NamedTuple):
+    """Consecutive steps of an episode.
+
+    Attributes:
+        actions: bodies of the distinct actions, k of them.
+        choices: index of each step's action, shape (n,), each below k.
+        rewards: reward of each step, shape (n,).
+    """
+
+    actions: tuple[bytes, ...]
+    choices: npt.NDArray[np.unsignedinteger[Any]]
+    rewards: npt.NDArray[np.float64]
+
+
+class ActionSteps(StepSequence):
+    """The steps of an episode of an actions-only recording; their observations are None.
+
+    Attributes:
+        blocks: the steps in order, in blocks.
+    """
+
+    def __init__(self) -> None:
+        self.blocks: list[Block] = []
+        self._ends: list[int] = []
+        self._terminal = False
+
+    def append(self, block: Block) -> None:
+        """Add further steps."""
+        self.blocks.append(block)
+        self._ends.append(len(self) + len(block.choices))
+
+    def end(self, terminal: bool) -> None:
+        """Set whether the last step was terminal."""
+        self._terminal = terminal
+
+    def __len__(self) -> int:
+        return self._ends[-1] if self._ends else 0
+
+    def _step(self, index: int) -> Transition:
+        number = bisect_right(self._ends, index)
+        actions, choices, rewards = self.blocks[number]
+        at = index - self._ends[number]  # from the block's end
+        terminal = self._terminal and index == len(self) - 1
+        return Transition(Action.from_body(actions[choices[at]]), rewards[at].item(), None, terminal)

@@ -4,31 +4,107 @@ from __future__ import annotations
 
 import os
 import zlib
+from array import array
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 from glue.closing import Closing
 from glue.errors import LocalProtocolError
 from glue.trajectory import limits
 from glue.trajectory.records import (
     ANSWER,
-    CUTOFF,
+    BEGIN,
+    BLOCK,
+    COUNTS,
+    END_OF,
     MAGIC,
     MESSAGE,
     REWARD,
     START,
     STEP,
     TERMINAL_STEP,
-    VOID,
+    Ending,
     Run,
     run_record,
     text_record,
+    width,
 )
 from glue.trajectory.unpacked import GZIP, TrajectoryError
 from glue.types import AbstractType, Action, Observation
 
+_NO_EPISODE: Final = "no episode is open: a recording needs start() before its steps"
 
-class TrajectoryWriter(Closing):
+_MAX_ACTIONS_SIZE: Final = 2**23
+"""Bytes of distinct actions after which a block of steps ends."""
+
+_STEP_SIZE: Final = 32
+"""Maximum bytes of a step besides its action: two indices, a reward, and the counts of its block."""
+
+
+class _Writer:
+    """Runs and episodes, packed.
+
+    Args:
+        send: receives each piece of the packed recording.
+    """
+
+    def __init__(self, send: Callable[[bytes], object]) -> None:
+        self._send = send
+        self._pack = zlib.compressobj(wbits=GZIP)
+        self._has_run = False
+        self._in_episode = False
+        self._size = 0  # bytes of the episode's records
+        self._write(MAGIC)
+
+    def run(self, run: Run) -> None:
+        """Record the environment that the following episodes come from. Cuts off an open episode.
+
+        Raises:
+            LocalProtocolError: the options are not plain values, the run takes more than `MAX_TEXT`, or
+                the recording is closed.
+        """
+        record = run_record(run)
+        self._end(Ending.CUTOFF)
+        self._write(record)
+        self._has_run = True
+
+    def close(self) -> None:
+        """Void the open episode and complete the recording."""
+        self._end(Ending.VOID)
+        self._send(self._pack.flush())
+
+    def _begin(self, record: bytes) -> None:
+        """Begin an episode with its first record."""
+        self._size = 0
+        self._grow(record)
+        self._in_episode = True
+
+    def _end(self, ending: Ending) -> None:
+        if self._in_episode:
+            self._in_episode = False
+            self._write(END_OF[ending])
+
+    def _needs_run(self) -> None:
+        if not self._has_run:
+            raise LocalProtocolError("no run is open: a recording starts with run() and ends with close()")
+
+    def _grow(self, record: bytes) -> None:
+        """Write a record of the open episode."""
+        self._size += len(record)
+        if self._size > limits.MAX_EPISODE:
+            raise LocalProtocolError(f"an episode of more than {limits.MAX_EPISODE} bytes cannot be recorded")
+        self._write(record)
+
+    def _write(self, record: bytes) -> None:
+        if packed := self._pack.compress(record):
+            self._send(packed)
+
+
+class TrajectoryWriter(_Writer, Closing):
     """Write a new file, record by record; every episode that ended is on disk.
 
     Use it as a context manager, or call `close`.
@@ -45,32 +121,19 @@ class TrajectoryWriter(Closing):
             raise TrajectoryError(f"{path} exists already: remove it, or record to another file") from None
         except OSError as error:
             raise self._unwritable(error) from None
-        self._pack = zlib.compressobj(wbits=GZIP)
-        self._has_run = False
-        self._in_episode = False
         self._steps = 0
-        self._size = 0
         self._messages: list[bytes] = []
         self._answers: list[bytes] = []
         self._answered = 0  # in the open episode
-        self._write(MAGIC)
+        super().__init__(self._store)
         self._flush()
 
     def run(self, run: Run) -> None:
-        """Record the environment that the following episodes come from. Cuts off an open episode.
-
-        Raises:
-            LocalProtocolError: the options are not plain values, the run takes more than `MAX_TEXT`, or
-                the recording is closed.
-        """
         if self._file.closed:
             raise LocalProtocolError("the recording is closed")
-        self.cutoff()
-        record = run_record(run)
+        super().run(run)
         self._messages.clear()
         self._answers.clear()
-        self._write(record)
-        self._has_run = True
 
     def message(self, text: str) -> None:
         """Record a text that was sent to the environment, with the next episode to start.
@@ -106,11 +169,10 @@ class TrajectoryWriter(Closing):
         self.cutoff()
         record = b"".join((*self._messages, *self._answers, START, _body_of(observation)))
         self._messages.clear()
-        self._steps = self._size = 0
+        self._steps = 0
         self._answered = len(self._answers)
         self._answers.clear()
-        self._grow(record)
-        self._in_episode = True
+        self._begin(record)
 
     def step(self, action: Action, reward: float, observation: Observation, terminal: bool) -> None:
         """Record a step of the open episode; a terminal step ends it.
@@ -119,7 +181,7 @@ class TrajectoryWriter(Closing):
             LocalProtocolError: no episode is open, or a limit of `glue.trajectory.limits` is exceeded.
         """
         if not self._in_episode:
-            raise LocalProtocolError("no episode is open: a recording needs a start before its steps")
+            raise LocalProtocolError(_NO_EPISODE)
         if self._steps == limits.MAX_STEPS:
             raise LocalProtocolError(f"an episode of more than {limits.MAX_STEPS} steps cannot be recorded")
         self._steps += 1
@@ -134,40 +196,22 @@ class TrajectoryWriter(Closing):
 
     def cutoff(self) -> None:
         """End the open episode without a terminal step. Nothing happens if none is open."""
-        self._end(CUTOFF)
+        self._end(Ending.CUTOFF)
 
     def void(self) -> None:
         """End the open episode as one that does not count. Nothing happens if none is open."""
-        self._end(VOID)
+        self._end(Ending.VOID)
 
     def close(self) -> None:
         """Void the open episode and close the file. May be called twice."""
-        if self._file.closed:
-            return
-        self.void()
-        self._store(self._pack.flush())
-        self._shut()
+        if not self._file.closed:
+            super().close()
+            self._shut()
 
-    def _needs_run(self) -> None:
-        if not self._has_run:
-            raise LocalProtocolError("no run is open: a recording starts with run() and ends with close()")
-
-    def _end(self, kind: bytes) -> None:
+    def _end(self, ending: Ending) -> None:
         if self._in_episode:
-            self._in_episode = False
-            self._write(kind)
+            super()._end(ending)
             self._flush()
-
-    def _grow(self, record: bytes) -> None:
-        self._size += len(record)
-        if self._size > limits.MAX_EPISODE:
-            raise LocalProtocolError(f"an episode of more than {limits.MAX_EPISODE} bytes cannot be recorded")
-        self._write(record)
-
-    def _write(self, record: bytes) -> None:
-        packed = self._pack.compress(record)
-        if packed:
-            self._store(packed)
 
     def _flush(self) -> None:
         self._store(self._pack.flush(zlib.Z_SYNC_FLUSH), now=True)
@@ -190,6 +234,75 @@ class TrajectoryWriter(Closing):
         return TrajectoryError(f"cannot write {self._path}: {error.strerror}")
 
 
+class ActionWriter(_Writer):
+    """Write an actions-only recording in pieces of bytes, complete once `close` has been called.
+
+    A deterministic environment reproduces the observations by executing the actions. A step takes about one
+    byte, and blocks of steps are read as arrays, so that a competition's scores are quickly verified.
+
+    Args:
+        send: receives each piece.
+    """
+
+    def __init__(self, send: Callable[[bytes], object]) -> None:
+        super().__init__(send)
+        self._open = 0  # bytes of the open block, at most
+        self._actions: dict[bytes, int] = {}
+        self._actions_size = 0
+        self._choices = array("I")
+        self._rewards = array("d")
+
+    def start(self) -> None:
+        """Begin an episode. Cuts off an open one.
+
+        Raises:
+            LocalProtocolError: there is no run yet.
+        """
+        self._needs_run()
+        self.end(Ending.CUTOFF)
+        self._begin(BEGIN)
+
+    def step(self, action: bytes, reward: float) -> None:
+        """Add a step of the open episode: the body of its action, and its reward.
+
+        Raises:
+            LocalProtocolError: no episode is open, or the episode exceeds a limit of a recording.
+        """
+        if not self._in_episode:
+            raise LocalProtocolError(_NO_EPISODE)
+        if len(self._choices) == limits.MAX_BLOCK or self._actions_size >= _MAX_ACTIONS_SIZE:
+            self._end_block()
+        choice = self._actions.get(action)
+        size = self._open + _STEP_SIZE + (len(action) if choice is None else 0)
+        if len(action) > limits.MAX_BODY or self._size + size > limits.MAX_EPISODE:
+            raise LocalProtocolError(
+                f"an action of more than {limits.MAX_BODY} bytes or an episode of more than "
+                f"{limits.MAX_EPISODE} bytes cannot be recorded"
+            )
+        self._open = size
+        if choice is None:
+            choice = self._actions[action] = len(self._actions)
+            self._actions_size += len(action)
+        self._choices.append(choice)
+        self._rewards.append(reward)
+
+    def end(self, ending: Ending) -> None:
+        """End the open episode. Nothing happens if none is open."""
+        self._end(ending)
+
+    def _end(self, ending: Ending) -> None:
+        self._end_block()
+        super()._end(ending)
+
+    def _end_block(self) -> None:
+        if self._choices:
+            self._grow(_block_record(tuple(self._actions), self._choices, self._rewards))
+            self._open = 0
+            self._actions.clear()
+            self._actions_size = 0
+            del self._choices[:], self._rewards[:]
+
+
 def _body_of(value: AbstractType) -> bytes:
     body = value.body
     if len(body) > limits.MAX_BODY:
@@ -197,3 +310,18 @@ def _body_of(value: AbstractType) -> bytes:
             f"an observation or action of {len(body)} bytes cannot be recorded; {limits.MAX_BODY} are allowed"
         )
     return body
+
+
+def _block_record(actions: tuple[bytes, ...], choices: array[int], rewards: array[float]) -> bytes:
+    # Compared by their bits: 0.0 and -0.0 are two rewards.
+    bits, paid = np.unique(np.array(rewards, np.float64).view(np.uint64), return_inverse=True)
+    return b"".join(
+        (
+            BLOCK,
+            COUNTS.pack(len(choices), len(actions), len(bits)),
+            *actions,
+            bits.astype("<u8").tobytes(),
+            np.array(choices, width(len(actions))).tobytes(),
+            paid.astype(width(len(bits))).tobytes(),
+        )
+    )

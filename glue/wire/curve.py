@@ -31,8 +31,8 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from glue.doors import chance
 from glue.errors import ConfigError, RemoteProtocolError
+from glue.system import chance
 from glue.wire.frames import LONG, LONG_HEAD, MAX_SHORT, MORE, SHORT_HEAD
 from glue.wire.zmtp import HandshakeRefused
 
@@ -71,7 +71,7 @@ _MAC: Final = 16
 """Overhead of a box over its content, in bytes."""
 
 _MAX_BUFFERED: Final = 4096
-"""Size of a connection's buffer, in bytes: room for the box of a typical observation."""
+"""Size of the buffer in which a connection opens boxes, in bytes: room for a typical observation."""
 
 _FLAGS: Final = [bytes((flags,)) for flags in range(256)]
 _NONCE_AT: Final = len(_MESSAGE)
@@ -87,7 +87,8 @@ _NONCE: Final = struct.Struct(">Q")
 _SHORT, _LONG = struct.Struct(">BB8s8s"), struct.Struct(">BQ8s8s")
 """A MESSAGE up to its box: the head of the frame, its name, and its nonce."""
 
-_MAX_OVERHEAD: Final = LONG_HEAD.size + _LEAST_MESSAGE
+_SHORT_UNSEALED, _LONG_UNSEALED = struct.Struct(">BB8s8s16xB"), struct.Struct(">BQ8s8s16xB")
+"""The same, with room for the authenticator of the box, and the flags that it begins with."""
 
 _seal: Final = lib.crypto_box_easy_afternm
 _open: Final = lib.crypto_box_open_easy_afternm
@@ -108,8 +109,8 @@ def _short_term_pair() -> tuple[bytes, bytes]:
 class _Curve:
     """One end of one connection.
 
-    Boxes are sealed and opened in one buffer. `nacl.bindings` allocates memory and checks the key for every
-    box, which takes longer than the encryption, and copies large boxes three times.
+    Boxes are sealed in their message, and opened in one buffer. `nacl.bindings` allocates memory and checks
+    the key for every box, which takes longer than the encryption, and copies large boxes three times.
 
     Args:
         own: the name of this end in nonces, "C" for the client or "S" for the server.
@@ -127,7 +128,7 @@ class _Curve:
         self._other_prefix = b"CurveZMQMESSAGE" + other
 
     def _agree(self, key: bytes) -> None:
-        """Set the key of C' and S', and make room for boxes: strangers do not come this far."""
+        """Set the key of C' and S', and make room to open boxes: strangers do not come this far."""
         self._key = key
         self._buffer = ffi.new("unsigned char[]", _MAX_BUFFERED)
         self._view = ffi.buffer(self._buffer)
@@ -197,26 +198,29 @@ class _Curve:
         message: bytes = view[: middle + head.size + last_payload]
         return message
 
-    def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytes:
+    def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytearray:
         """Return the bytes of a message of at least one frame, the last of which has these flags."""
-        size = sum(map(len, frames)) + len(frames) * _MAX_OVERHEAD
-        buffer, view = self._buffer, self._view
-        if size > _MAX_BUFFERED:
-            buffer = ffi.new("unsigned char[]", size)
-            view = ffi.buffer(buffer)
+        parts: list[bytes] = []
+        boxes: list[tuple[int, int, bytes]] = []  # where each begins, the size of its content, and its nonce
         at, left = 0, len(frames)
         for frame in frames:
             left -= 1
-            nonce = self._next_nonce()
-            size = len(frame) + _LEAST_MESSAGE
-            form, long = (_LONG, LONG) if size > MAX_SHORT else (_SHORT, 0)
-            form.pack_into(view, at, long, size, _MESSAGE, nonce)
-            at += form.size
-            content_flags = _FLAGS[MORE if left else flags]
-            # The copy of a large frame has no name, so that it is gone when the message is copied.
-            _seal(buffer + at, content_flags + frame, 1 + len(frame), self._prefix + nonce, self._key)
-            at += 1 + len(frame) + _MAC
-        message: bytes = view[:at]
+            nonce, size = self._next_nonce(), len(frame) + _LEAST_MESSAGE
+            flags_inside = MORE if left else flags
+            if size <= MAX_SHORT:
+                unsealed = _SHORT_UNSEALED.pack(0, size, _MESSAGE, nonce, flags_inside)
+                at += _SHORT.size
+            else:
+                unsealed = _LONG_UNSEALED.pack(LONG, size, _MESSAGE, nonce, flags_inside)
+                at += _LONG.size
+            parts += unsealed, frame
+            boxes.append((at, 1 + len(frame), self._prefix + nonce))
+            at += size - _BOX_AT
+        # Sealed in place: of a large message, the only copy is the one that is sent.
+        message = bytearray().join(parts)
+        start, key = ffi.from_buffer(message), self._key
+        for at, size, nonce in boxes:
+            _seal(start + at, start + at + _MAC, size, nonce, key)
         return message
 
     def _count(self, nonce: bytes) -> None:

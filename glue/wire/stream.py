@@ -159,8 +159,15 @@ class Stream:
             self._decoder.receive_data(self._data[self._at :])
             self._data, self._at = b"", 0
 
-    def encode(self, message: Message) -> tuple[bytes, bytes]:
+    @property
+    def copies(self) -> bool:
+        """Whether `encode` copies a body: it has to be encrypted."""
+        return self._mechanism is not None
+
+    def encode(self, message: Message) -> tuple[bytes | bytearray, bytes]:
         """Return the bytes of a message in two parts, so that a large body need not be copied.
+
+        Encrypted, the first part is all of it.
 
         Raises:
             LocalProtocolError: the header would be too long.

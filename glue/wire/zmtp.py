@@ -152,7 +152,7 @@ class Mechanism(Protocol):
         """
         ...
 
-    def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytes:
+    def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytearray:
         """Return the bytes of a message of at least one frame, the last of which has these flags."""
         ...
 
@@ -324,7 +324,7 @@ class Decoder:
             return (
                 _command(pong)
                 if self._mechanism is None
-                else self._mechanism.encode([pong], _ENCRYPTED_COMMAND)
+                else bytes(self._mechanism.encode([pong], _ENCRYPTED_COMMAND))
             )
         if name == b"READY" and self._mechanism is None:
             self._check_socket(data)

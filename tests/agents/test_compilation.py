@@ -36,7 +36,7 @@ for kind in TilesAgent, HierarchicalAgent, PlannerAgent, LearningPlannerAgent:
     before = loaded()
     assert before
     action = agent.agent_start(environment.env_start())
-    for _ in range(200):
+    for _ in range(80):
         reward, observation, terminal, *_ = environment.env_step(action)
         if terminal:
             break

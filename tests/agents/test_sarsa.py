@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.keys import extend, feature
+from agents.policy import extend, feature
 from agents.sarsa import (
     Keys,
     Learner,

@@ -20,12 +20,18 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "zmq": ["glue/client/libzmq.py"],
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
-    "msgspec": ["experiment_runner/executors/job.py", "experiment_runner/store/readings.py"],
+    "msgspec": [
+        "experiment_runner/competition/records/*",
+        "experiment_runner/competition/settings.py",
+        "experiment_runner/executors/job.py",
+        "experiment_runner/plan/*",
+        "experiment_runner/store/*",
+    ],
     "numba": ["glue/compiled/jit.py", "glue/compiled/threads.py"],
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],
     "click": ["*/cli/*", "glue/plugins/naming.py"],
-    "matplotlib": ["experiment_runner/report/*", "experiment_runner/study/paper/figures.py"],
+    "matplotlib": ["experiment_runner/report/*", "experiment_runner/study/paper/report.py"],
     "PIL": ["env_server/render/*"],
     "imageio_ffmpeg": ["env_server/render/*"],
     "sqlite3": ["experiment_runner/store/*"],
@@ -36,17 +42,15 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "scipy": ["experiment_runner/analysis/stats.py"],
     "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
-    "gymnasium": ["glue/gym/*", "env_server/gym/*", "env_server/datasets/*", "agents/ppo.py"],
+    "gymnasium": ["glue/gym/*", "glue/openenv/*", "env_server/gym/*", "env_server/datasets/*"],
     "stable_baselines3": ["glue/gym/sb3.py"],
-    "torch": ["agents/ppo.py", "experiment_runner/study/generalisation/imitation.py"],
+    "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*"],
-    "uvicorn": [
-        "agents/language/server.py",
-        "experiment_runner/view/server.py",
-        "experiment_runner/view/connections.py",
-    ],
     **dict.fromkeys(("anyio", "mcp", "mcp_types"), ("agents/language/server.py",)),
     "http.client": ["agents/language/endpoint.py"],
+    "openenv": ["glue/openenv/*"],
+    "pydantic": ["glue/openenv/serving.py"],
+    "uvicorn": ["agents/language/server.py", "glue/openenv/serving.py", "experiment_runner/view/server.py"],
     # Peers and files are not trusted.
     **dict.fromkeys(("pickle", "marshal", "shelve", "eval()", "exec()", "compile()"), NOWHERE),
     # Every random choice comes from a generator that was handed over.
@@ -54,17 +58,15 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     # Libraries name settings by their Python names; these show or start commands, or are programs themselves.
     "--option": [
         "*/cli/*",
-        "agents/ppo.py",
         "agents/soar/*",
         "experiment_runner/competition/containers.py",
-        "experiment_runner/meeting/children.py",
-        "experiment_runner/meeting/hints.py",
+        "experiment_runner/processes/children.py",
+        "experiment_runner/executors/over_hub.py",
         "experiment_runner/plan/provenance.py",
         "experiment_runner/report/progress.py",
-        "experiment_runner/view/starting.py",
+        "experiment_runner/view/launch.py",
         "experiment_runner/slurm/batch.py",
-        "experiment_runner/study/generalisation/imitation.py",
-        "glue/conform/hub/mirror.py",
+        "glue/conform/clients/mirror.py",
         "glue/plugins/naming.py",
         "glue/rlglue/package.py",
     ],
@@ -76,27 +78,27 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "agents/language/chat.py",  # the key of an endpoint, which no record may hold
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
-            "experiment_runner/competition/programs.py",  # passes it on
-            "experiment_runner/meeting/children.py",  # PYTHONBREAKPOINT
+            "experiment_runner/competition/starters.py",  # passes it on
+            "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
-            "glue/conform/hub/clients.py",  # passes it on
+            "glue/conform/clients/process.py",  # passes it on
         ),
     ),
 }
 """Files that may import a module, or use a name. All other code uses it through these files."""
 
-DOORS: Final[Mapping[str, Sequence[str]]] = {
-    "time": ["glue/doors/clock.py"],
-    "os.sched_yield": ["glue/doors/clock.py"],
-    "socket": ["glue/doors/network.py"],
-    "select": ["glue/doors/network.py"],
-    "selectors": ["glue/doors/network.py"],
-    "secrets": ["glue/doors/chance.py"],
-    "os.urandom": ["glue/doors/chance.py"],
+SYSTEM: Final[Mapping[str, Sequence[str]]] = {
+    "time": ["glue/system/clock.py"],
+    "os.sched_yield": ["glue/system/clock.py"],
+    "socket": ["glue/system/network.py"],
+    "select": ["glue/system/network.py"],
+    "selectors": ["glue/system/network.py"],
+    "secrets": ["glue/system/chance.py"],
+    "os.urandom": ["glue/system/chance.py"],
     # The other is a thread that watches for signals during compilation, which a simulation does not do.
-    "threading": ["glue/doors/threads.py", "glue/compiled/jit.py"],
+    "threading": ["glue/system/threads.py", "glue/compiled/jit.py"],
 }
-"""The files of `glue` that may use these: tests/simulation replaces the doors."""
+"""The files of `glue` that may use these: tests/simulation replaces those of glue/system."""
 
 PURE: Final = ("glue", "glue/engine", "glue/hub", "glue/wire", "glue/taskspec", "glue/trajectory")
 """Folders that use no sockets, clocks or threads."""
@@ -104,7 +106,7 @@ PURE: Final = ("glue", "glue/engine", "glue/hub", "glue/wire", "glue/taskspec", 
 IMPURE: Final[Mapping[str, Sequence[str]]] = dict.fromkeys(
     (
         *("asyncio", "select", "signal", "socket", "subprocess", "threading", "time", "zmq"),
-        *("glue.doors.clock", "glue.doors.network", "glue.doors.threads"),
+        *("glue.system.clock", "glue.system.network", "glue.system.threads"),
     ),
     NOWHERE,
 )
@@ -126,7 +128,7 @@ def test_what_has_a_home_is_used_there_alone() -> None:
 
 
 def test_glue_asks_the_system_for_time_network_and_chance_at_one_door_each() -> None:
-    assert strays(DOORS, *(name for name in MAY_IMPORT if name.split("/")[0] == "glue")) == []
+    assert strays(SYSTEM, *(name for name in MAY_IMPORT if name.split("/")[0] == "glue")) == []
 
 
 def test_rules_without_io_see_no_sockets_clocks_or_threads() -> None:
@@ -196,7 +198,7 @@ ours = [point for point in commands if point.name.startswith('glue-')]
 assert len(ours) >= 9, ours
 for point in ours:
     entry = importlib.import_module(point.module)
-    entry.start = importlib.import_module
+    entry.start = lambda module, name: getattr(importlib.import_module(module), name)
     getattr(entry, point.attr)()
 """
     subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT, timeout=120)

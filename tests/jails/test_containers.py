@@ -19,7 +19,7 @@ import pytest
 from experiment_runner.competition.containers import Container, Containers
 from experiment_runner.competition.jail import LABEL
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starting import SOCKET, Launch
+from experiment_runner.competition.starters import SOCKET, Launch
 from glue.errors import ConfigError
 from tests.system.runs import wait_until
 
@@ -241,7 +241,7 @@ import sys, time
 from pathlib import Path
 from experiment_runner.competition.containers import Containers
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starting import Launch
+from experiment_runner.competition.starters import Launch
 
 image, folder, run = sys.argv[1:]
 Containers().start(Entrant("alice", image=image), Limits(), Launch(Path(folder), "s", Path("log"), run))
@@ -298,7 +298,7 @@ def test_every_jail_has_a_user_of_its_own(
     for one in jails:
         one.wait(2.0)
         one.stop()
-    users = [set(map(int, one.log.read_text().split())) for one in jails]
+    users = [set(map(int, log.read_text().split())) for log in launch.log.iterdir()]
     assert [len(user) for user in users] == [1, 1]
     assert not users[0] & users[1]
     assert all(user <= set(range(40_000, 60_000)) for user in users)
@@ -314,7 +314,7 @@ def test_an_entrant_is_the_image_that_its_name_stood_for(image: Callable[..., st
     container = Containers().start(entrant, _LIMITS, launch)
     assert container.wait(_SECONDS)
     container.stop()
-    assert container.log.read_text() == "the first\n"
+    assert launch.log.read_text() == "the first\n"
 
 
 class Gateway:

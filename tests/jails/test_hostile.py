@@ -38,7 +38,7 @@ _FAIR = ("honest", "leaves")
 _TRIALS = 2
 
 _SECRET = "the-organisers-canary"
-_COMMAND = "experiment_runner.cli.compete"
+_COMMAND = ["glue_rl", "compete"]
 _MATCH = "experiment_runner.competition.match"
 _SECONDS = 800
 
@@ -111,7 +111,7 @@ def hold(folder: Path, images: dict[str, str]) -> Held:
 
 
 def _compete(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-P", "-m", _COMMAND, *map(str, arguments)]
+    command = [sys.executable, "-P", "-m", *_COMMAND, *map(str, arguments)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=_SECONDS)
 
 
@@ -209,7 +209,7 @@ def test_two_checks_at_once_leave_each_others_containers_alone(
     (tmp_path / "competition.toml").write_text(
         _FILE.format(trials=1) + f'[entrants.honest]\nimage = "{build("honest")}"\n'
     )
-    arguments = [sys.executable, "-P", "-m", _COMMAND, "check", str(tmp_path / "competition.toml"), "--out"]
+    arguments = [sys.executable, "-P", "-m", *_COMMAND, "check", str(tmp_path / "competition.toml"), "--out"]
     checks = [subprocess.Popen([*arguments, str(tmp_path / out)], cwd=ROOT) for out in ("a", "b", "c")]
     assert [check.wait(_SECONDS) for check in checks] == [0, 0, 0]
 

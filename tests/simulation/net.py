@@ -1,4 +1,4 @@
-"""A simulated network: stream sockets between processes of a world, as glue/doors/network.py offers them.
+"""A simulated network: stream sockets between processes of a world, as glue/system/network.py offers them.
 
 Bytes arrive in order and once, or not at all, as with TCP. The faults decide what goes wrong:
 `on_send` is called for each system call that sends."""
@@ -334,8 +334,8 @@ class Net:
         self.sends = 0
         self.on_send: Callable[[Socket, bytes], float | None] = lambda sender, data: 0.0
 
-    def door(self) -> dict[str, Any]:
-        """Return the functions to put behind the door of the network."""
+    def functions(self) -> dict[str, Any]:
+        """Return the functions that replace those of the network."""
         net = self
 
         def process() -> Process:

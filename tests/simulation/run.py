@@ -18,14 +18,13 @@ from glue.client.experiment import connect
 from glue.client.observer import observe
 from glue.client.players import serve_agent, serve_environment
 from glue.client.transport import open_transport
-from glue.doors import clock, network
 from glue.errors import GlueError, HubClosed, HubUnreachable, PeerFailed, PeerLost, Refused
-from glue.hub.config import Bind, HubConfig
+from glue.hub.config import Bind, HubConfig, Keys, Permit
 from glue.hub.io import channels
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
-from glue.hub.keys import Keys, Permit
 from glue.keys.certificates import KeyPair, write_pair
+from glue.system import clock, network
 from glue.wire import zmtp
 from glue.wire.messages import PROTOCOL_VERSION, Kind, Message, Role
 from glue.wire.stream import Stream

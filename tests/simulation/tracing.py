@@ -13,10 +13,10 @@ from greenlet import getcurrent
 
 from glue.client.answers import ServedPlayer
 from glue.client.experiment import connect
-from glue.doors import clock
 from glue.errors import PeerLost
 from glue.hub.session import Session
-from glue.hub.sessions import Switchboard
+from glue.hub.sessions import Sessions
+from glue.system import clock
 from glue.wire.messages import Kind, Message, Role
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.simulation.faults import Fault
@@ -123,11 +123,11 @@ class _TracedRun(Run):
 def _noting(run: _TracedRun) -> Iterator[None]:
     """Record the hub's events while the body of the `with` runs."""
 
-    def welcome(board: Switchboard, route: Any, message: Message, resumed: bool) -> None:
+    def welcome(sessions: Sessions, channel: Any, message: Message, resumed: bool) -> None:
         _, role, instance, *_ = message.scalars
         number = run.instance(str(role), bytes(instance))  # type: ignore[arg-type]
         run.note("welcome", str(role), 0, number)
-        before["_welcome"](board, route, message, resumed)
+        before["_welcome"](sessions, channel, message, resumed)
 
     def lose(session: Session, peer: Any, why: str, code: Any) -> None:
         before["lose"](session, peer, why, code)
@@ -149,7 +149,7 @@ def _noting(run: _TracedRun) -> Iterator[None]:
         run.note("call", current.process.name, seq)
 
     changed: list[tuple[Any, str, Any]] = [
-        (Switchboard, "_welcome", welcome),
+        (Sessions, "_welcome", welcome),
         (Session, "lose", lose),
         (Session, "request", request),
         (Session, "answer", answer),

@@ -18,7 +18,7 @@ from glue.hub.io import channels, inside
 from glue.hub.io.log import Log, LogLevel
 from glue.hub.io.server import Hub
 from glue.hub.session import Session
-from glue.hub.sessions import Switchboard
+from glue.hub.sessions import Sessions
 from glue.wire.messages import CALLS, Event, Kind, Message, Role
 from tests.simulation.order import Order
 from tests.simulation.shown import MOMENTS, Shown
@@ -247,7 +247,7 @@ class Watch:
             check(hub)
         except AssertionError as error:
             self._run.problems.append(f"(d) {error}")
-        total, limit = hub.switchboard.memory.total, hub.config.max_memory
+        total, limit = hub.sessions.memory.total, hub.config.max_memory
         if total > limit:
             self._run.problems.append(f"(d) a hub accounts for {total} bytes, more than {limit}")
 
@@ -285,9 +285,9 @@ class Watch:
         replaced: list[tuple[Any, str, Any]] = [
             (players, "ServedPlayer", Counting),
             (inside, "ServedPlayer", Counting),
-            (channels._Channel, "deliver", self._delivering(channels._Channel.deliver)),
-            (Switchboard, "tick", self._ticking(Switchboard.tick)),
-            (Switchboard, "receive", self._receiving(Switchboard.receive)),
+            (channels._SocketChannel, "deliver", self._delivering(channels._SocketChannel.deliver)),
+            (Sessions, "tick", self._ticking(Sessions.tick)),
+            (Sessions, "receive", self._receiving(Sessions.receive)),
             (Session, "__init__", self._opening(Session.__init__)),
             (Session, "join", self._joining(Session.join)),
             (Session, "lose", self._losing(Session.lose)),
@@ -325,29 +325,29 @@ class Watch:
         return deliver
 
     def _ticking(self, original: Any) -> Any:
-        def tick(switchboard: Switchboard, now: float) -> None:
-            original(switchboard, now)
+        def tick(sessions: Sessions, now: float) -> None:
+            original(sessions, now)
             for hub in self._hubs.values():
-                if hub.switchboard is switchboard:
+                if hub.sessions is sessions:
                     self._memory(hub)
 
         return tick
 
     def _receiving(self, original: Any) -> Any:
-        def receive(switchboard: Switchboard, route: Any, message: Message, now: float) -> bool:
+        def receive(sessions: Sessions, channel: Any, message: Message, now: float) -> bool:
             if self._trace and message.kind is not Kind.HEARTBEAT:
-                self.note("hub", "receives", _peer_of(route), message)
+                self.note("hub", "receives", _peer_of(channel), message)
             if message.kind in _BEGIN and message.seq > self._void.get(message.session, (message.seq, 0))[0]:
                 del self._void[message.session]
-            if isinstance(route, channels._Channel):
-                self.order.read(route.connection._socket, message)  # type: ignore[arg-type]
+            if isinstance(channel, channels._SocketChannel):
+                self.order.read(channel.connection._socket, message)  # type: ignore[arg-type]
             if message.kind is Kind.OBSERVE:
-                self._shown.wanted((route, message.session), message.scalars[0])
-            member = message.kind is Kind.HELLO and message.session in switchboard._seats.get(route, {})
+                self._shown.wanted((channel, message.session), message.scalars[0])
+            member = message.kind is Kind.HELLO and message.session in sessions._joined.get(channel, {})
             before = self._deliveries
-            result: bool = original(switchboard, route, message, now)
+            result: bool = original(sessions, channel, message, now)
             if member and self._deliveries > before + 1:
-                self._run.problems.append(f"(f) {_peer_of(route)} joined {message.session} twice")
+                self._run.problems.append(f"(f) {_peer_of(channel)} joined {message.session} twice")
             return result
 
         return receive
@@ -372,8 +372,8 @@ class Watch:
         return receive_message
 
     def _opening(self, original: Any) -> Any:
-        def init(session: Session, board: Any, name: str, time: Any = None) -> None:
-            original(session, board, name, time)
+        def init(session: Session, sessions: Any, name: str, time: Any = None) -> None:
+            original(session, sessions, name, time)
             current: Any = getcurrent()
             self._incarnations[current.process.number, name] += 1
             self._void.pop(name, None)
@@ -419,15 +419,15 @@ class Watch:
 
     def _dropping(self, original: Any) -> Any:
         def drop(every: Any, channel: Any, why: str | None) -> None:
-            seated = "seated" if channel.seated else "unseated"
-            self.seen[f"hub: dropped a {seated} connection{' for ' + why[:24] if why else ''}"] += 1
+            where = "in a session" if channel.in_session else "without a session"
+            self.seen[f"hub: dropped a connection {where}{' for ' + why[:24] if why else ''}"] += 1
             original(every, channel, why)
 
         return drop
 
 
-def _peer_of(route: Any) -> str:
+def _peer_of(channel: Any) -> str:
     """Return the name of the program at the other end of a connection of the hub."""
-    connection = getattr(route, "connection", None)
+    connection = getattr(channel, "connection", None)
     peer = None if connection is None else connection._socket.peer
     return "inside" if peer is None else str(peer.process.name)

@@ -1,6 +1,6 @@
 """A simulated world: processes on one thread, a virtual clock, and every choice from one generator.
 
-A `World` stands behind the doors of `glue` (glue/doors) and answers every request of its programs to the
+A `World` replaces the functions of glue/system, and answers every request of its programs to the
 system. A program runs until it waits; then the world chooses the next one."""
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from greenlet import GreenletExit, getcurrent, greenlet
 
-from glue.doors import chance, clock, network, threads
+from glue.system import chance, clock, network, threads
 
 READ_SECONDS: Final = 1e-6
 """Virtual time that passes when the clock is read; without it, a loop until some time would never end."""
@@ -183,7 +183,7 @@ class World:
             text = "".join(traceback.format_exception(error))
             self.failures.append(f"{process.name} failed: {type(error).__name__}: {error}\n{text}")
 
-    # The functions behind the doors.
+    # The functions that replace those of glue/system.
 
     def monotonic(self) -> float:
         """Return the virtual time."""
@@ -209,7 +209,7 @@ class World:
 
     @contextmanager
     def entered(self, net: Any) -> Iterator[None]:
-        """Replace the functions behind the doors while the body of the `with` runs."""
+        """Replace the functions of glue/system while the body of the `with` runs."""
         replaced: list[tuple[Any, str, Any]] = [
             (clock, "monotonic", self.monotonic),
             (clock, "sleep", self.sleep),
@@ -218,7 +218,7 @@ class World:
             (threads, "RLock", partial(_RLock, self)),
             (threads, "Event", partial(_Event, self)),
             (threads, "Thread", partial(_Thread, self)),
-            *((network, name, value) for name, value in net.door().items()),
+            *((network, name, value) for name, value in net.functions().items()),
         ]
         with replacing(replaced):
             yield

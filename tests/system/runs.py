@@ -14,7 +14,7 @@ from experiment_runner.store.records import Checkpoint
 from experiment_runner.store.results import Results
 from tests import forked
 
-COMMAND = [sys.executable, "-m", "experiment_runner.cli.experiment"]
+COMMAND = [sys.executable, "-m", "glue_rl", "experiment"]
 SLOW_AGENT = Path(__file__).parents[1] / "slow.py"
 """A module whose agent `Slow` keeps a run going until a test has done its part; a test copies it."""
 _SECONDS = 200.0  # a search on a Ray cluster takes 40 on two quiet cores

@@ -197,8 +197,8 @@ def test_commands_import_nothing_slow_that_they_do_not_need(tmp_path: Path) -> N
     found = run_cold(_IMPORTING, [f"{BIN}/{case}" for case in cases], tmp_path)
     assert [one["status"] for one in found] == [0, 0, 0], found
     told, played, shown = (set(one["modules"]) for one in found)
-    assert not {"numpy", "importlib.metadata", "subprocess"} & told
-    slow = {"scipy", "numba", "msgspec", "matplotlib", "experiment_runner.executors.search"}
+    assert not {"numpy", "msgspec", "importlib.metadata", "subprocess"} & told
+    slow = {"scipy", "numba", "matplotlib", "experiment_runner.executors.search"}
     hub = {"zmq", "glue.hub.sessions", "glue.hub.io.server", "glue.client.players", "glue.legacy.gateway"}
     assert "numpy" in played & shown
     assert found[1]["spin"] == "16"  # NumPy's threads sleep at once

@@ -252,7 +252,7 @@ def play_over_cuts(cuts: int, seed: int) -> None:
             assert proxy.finished.is_set(), "all cuts were made"
 
 
-HUB = "from glue.cli.hub import main; main()"
+HUB = "from glue_rl.commands import hub; hub()"
 
 
 @contextmanager
@@ -311,7 +311,7 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
             process.send_signal(number)
             return super().env_step(action)
 
-    agent = "from agents.cli.agent import main; main()"
+    agent = "from glue_rl.commands import agent; agent()"
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0, greeting=60.0))
     with hub.in_background(), ExitStack() as ending:
         (url,) = hub.endpoints

@@ -13,10 +13,10 @@ import pytest
 
 from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import connect
-from glue.conform.hub.clients import ClientProcess
-from glue.conform.hub.rules import Tier
-from glue.conform.judge import Outcome, judge
+from glue.conform.clients.judge import judge
+from glue.conform.clients.process import ClientProcess
 from glue.conform.report import line
+from glue.conform.rules import Outcome, Tier
 from glue.engine.experiment import Experiment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub

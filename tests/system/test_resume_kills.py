@@ -49,7 +49,7 @@ VICTIMS = (
     "experiment",
     "player_command agent",
     "player_command environment",
-    "experiment_runner.executors.local",
+    "experiment_runner.executors.workers",
 )
 LONGEST_LIFE = size(0.2, 1.0)
 

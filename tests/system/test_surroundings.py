@@ -52,13 +52,14 @@ def test_a_command_ends_in_a_result_or_in_one_line(tmp_path: Path, where: str, c
 
 def test_what_an_interruption_becomes_within_a_lock_is_an_interruption(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
-        "import os, signal\n"
+        "import click, os, signal\n"
+        "@click.command()\n"
         "def main():\n"
         "    try:\n"
         "        os.kill(os.getpid(), signal.SIGTERM)\n"
         "    except KeyboardInterrupt:\n"
         "        raise RuntimeError('release unlocked lock')\n"
     )
-    program = "from glue.cli.entry import start; start('mine')"
+    program = "from glue.cli.entry import start; start('mine', 'main')"
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (143, "interrupted\n")

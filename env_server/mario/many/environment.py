@@ -7,13 +7,15 @@ an `InfiniteMario` of its own to the byte.
 
 from __future__ import annotations
 
+import os
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from env_server.mario.environment import InfiniteMario
-from env_server.mario.many.batch import MarioBatch
+from env_server.mario.many.games import SAME_STEP, Games
+from env_server.mario.many.views import BODY, View
 from env_server.mario.observation import BODY_SIZE
 from glue.batches import Ragged, batch_task_spec, pack_actions, unpack_actions
 from glue.compiled.jit import announce_compilation, entry, jit
@@ -23,6 +25,11 @@ from glue.types import PREFIX_SIZE, Action, Observation, Step
 from glue.wire.limits import MAX_BODY
 
 _ACTION_INTS: Final = 3
+_CHOICES: Final = np.array([3, 2, 2])
+_LEFT: Final = np.array([1, 0, 0])
+"""Added to a direction, -1 to 1, to get its number, 0 to 2."""
+_GAMES_PER_THREAD: Final = 128
+"""Number of games that justifies waking another thread."""
 _BESIDE: Final = 24
 """Bytes of a game in a message besides its observation: its reward, terminal and counts."""
 _MAX_GAMES: Final = MAX_BODY // 400
@@ -46,8 +53,8 @@ class InfiniteMarioBatch(Environment):
         if not 1 <= games <= _MAX_GAMES:
             raise ConfigError(f"a batch of Infinite Mario has 1 to {_MAX_GAMES} games, not {games}")
         self.__wrapped__ = environment
-        self._games = games
-        self._batch: MarioBatch | None = None
+        self._count = games
+        self._games: Games | None = None
         self._message = np.empty(games * (BODY_SIZE + _BESIDE) + 8, np.uint8)
         counts = np.tile(np.array([_ACTION_INTS, 0, 0], np.int32), (games, 1))
         still = Ragged(counts, np.zeros(counts.size, np.int32), np.empty(0), np.empty(0, np.uint8))
@@ -55,16 +62,18 @@ class InfiniteMarioBatch(Environment):
 
     def env_batch(self) -> int:
         """Return the number of games."""
-        return self._games
+        return self._count
 
     def env_init(self) -> str:
         """Make fresh games; return the task spec of the batch."""
         task_spec = self.__wrapped__.env_init()
         self._close()
-        self._batch = MarioBatch([self.__wrapped__.parameters] * self._games, restarts=True)
+        tasks = [self.__wrapped__.parameters] * self._count
+        threads = min(os.cpu_count() or 1, self._count // _GAMES_PER_THREAD)
+        self._games = Games(tasks, View(BODY, BODY_SIZE, 0), SAME_STEP, threads=max(1, threads))
         with announce_compilation("messages of many games"):
-            _gather(self._batch.bodies, np.zeros(self._games), np.zeros(self._games, np.bool_), self._message)
-        return batch_task_spec(self._games, task_spec)
+            self._shown(self._games)
+        return batch_task_spec(self._count, task_spec)
 
     def env_start(self) -> Observation:
         """Rebuild the level of each game, and return the first observations.
@@ -72,9 +81,9 @@ class InfiniteMarioBatch(Environment):
         Raises:
             SimulatorError: env_init has not been called yet.
         """
-        batch = self._playing()
-        batch.start()
-        return self._shown(batch, np.zeros(self._games), np.zeros(self._games, np.bool_))
+        games = self._playing()
+        games.reset()
+        return self._shown(games)
 
     def env_step(self, action: Action) -> Step:
         """Hold the buttons of each game's action for five ticks.
@@ -87,9 +96,17 @@ class InfiniteMarioBatch(Environment):
             SimulatorError: an action is out of bounds or misshapen, or there is no episode to step in. No
                 game is stepped then.
         """
-        batch = self._playing()
-        rewards, ended = batch.step(self._buttons(action))
-        return Step(float(rewards.sum()), self._shown(batch, rewards, ended), False)
+        games, buttons = self._playing(), self._buttons(action)
+        refused = games.step(buttons + _LEFT, _CHOICES)
+        if refused >= self._count:
+            refused -= self._count
+            raise SimulatorError(
+                f"direction is -1 to 1, jump and run 0 or 1; received {buttons[refused].tolist()} for game "
+                f"{refused}"
+            )
+        if refused >= 0:
+            raise SimulatorError(f"game {refused} has no episode being played: start it first")
+        return Step(float(games.lanes["reward"].copy().sum()), self._shown(games), False)
 
     def env_cleanup(self) -> None:
         """Release the games, and any level that a message asked for."""
@@ -101,35 +118,34 @@ class InfiniteMarioBatch(Environment):
         before = self.__wrapped__.parameters
         answer = self.__wrapped__.env_message(message)
         task = self.__wrapped__.parameters
-        if self._batch is not None and task is not before:
-            self._batch.set_tasks([task] * self._games)
+        if self._games is not None and task is not before:
+            self._games.set_tasks([task] * self._count)
         return answer
 
-    def _playing(self) -> MarioBatch:
-        if self._batch is None:
+    def _playing(self) -> Games:
+        if self._games is None:
             raise SimulatorError("there are no games yet: call env_init first")
-        return self._batch
+        return self._games
 
     def _close(self) -> None:
-        if self._batch is not None:
-            self._batch.close()
-            self._batch = None
+        if self._games is not None:
+            self._games.close()
+            self._games = None
 
     def _buttons(self, action: Action) -> npt.NDArray[np.int32]:
         # Everything in a valid message except the buttons is known before it arrives.
         if action.body.startswith(self._head):
-            return action.ints[-_ACTION_INTS * self._games :].reshape(-1, _ACTION_INTS)
-        for game, one in enumerate(unpack_actions(action, self._games).values(Action)):
+            return action.ints[-_ACTION_INTS * self._count :].reshape(-1, _ACTION_INTS)
+        for game, one in enumerate(unpack_actions(action, self._count).values(Action)):
             try:
                 InfiniteMario.buttons_of(one)
             except SimulatorError as error:
                 raise SimulatorError(f"game {game}: {error}") from None
         raise AssertionError("actions of the right shape begin otherwise")
 
-    def _shown(
-        self, batch: MarioBatch, rewards: npt.NDArray[np.float64], ended: npt.NDArray[np.bool_]
-    ) -> Observation:
-        size = _gather(batch.bodies, rewards, ended, self._message)
+    def _shown(self, games: Games) -> Observation:
+        lanes = games.lanes
+        size = _gather(games.cells, lanes["reward"].copy(), lanes["terminated"].copy(), self._message)
         return Observation.from_body(self._message[:size].tobytes())
 
 

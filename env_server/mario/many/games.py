@@ -22,6 +22,7 @@ from glue.closing import Closing
 from glue.compiled.jit import announce_compilation, entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, Word, layout
 from glue.compiled.threads import Gate, Threads, begin_turn, claim, end_turn, nothing
+from glue.errors import SimulatorError
 from glue.types import Observation
 
 NEXT_STEP: Final = 0
@@ -80,7 +81,7 @@ class Games(Closing):
     """N games, each with a task. Close them at the end, or use them in a `with` statement.
 
     Args:
-        tasks: one for each game.
+        tasks: one for each game; on `levels`, without the level of a file.
         view: the view of each game.
         mode: NEXT_STEP, SAME_STEP or DISABLED: when a game that is over begins its next episode.
         threads: threads that step the games.
@@ -121,6 +122,10 @@ class Games(Closing):
         self.worlds: Worlds = np.zeros(count, WORLD)
         shared = levels is not None and len(levels.numbers) <= count
         self.levels: Levels = np.zeros(len(levels.numbers) if levels is not None and shared else count, LEVEL)
+        pictures = {picture: picture.levels() for task in tasks if (picture := task.level) is not None}
+        for place, task in enumerate(tasks):
+            if task.level is not None:
+                self.levels[place : place + 1] = pictures[task.level]
         self.set_tasks(tasks)
         self.cells: Bytes = np.zeros((count, view.bytes), np.uint8)
         self.reals: Reals = np.zeros((count, view.reals), np.float32)
@@ -143,7 +148,14 @@ class Games(Closing):
         self._threads.close()
 
     def set_tasks(self, tasks: Sequence[Parameters]) -> None:
-        """Let each game play another task from its next episode on."""
+        """Let each game play another task from its next episode on.
+
+        Raises:
+            SimulatorError: a task has a level of a file, which the game did not have from the start.
+        """
+        for i, task in enumerate(tasks):
+            if task.level is not None and self.levels[i]["seed"] != task.level_seed:
+                raise SimulatorError("the level of a file is fixed when games are made: make others")
         self._tasks = tasks
         for world, task in zip(self.worlds, tasks, strict=True):
             task.write_to(world)

@@ -27,6 +27,11 @@ _DRESS_OF_TYPE: Final = np.array([0, 12, 8])
 _DRESSED: Final = np.array(
     [0, 128, 130, 129, 160, 144, 145, 131, 162, 145, 146, 147, 161, 179, 163, 145],
 )
+GROUND_CODES: Final = {
+    tile.GROUND,
+    *(int(code) + int(dress) for code in _DRESSED[1:] for dress in _DRESS_OF_TYPE),
+}
+"""The tiles of ground, in any type of level."""
 
 
 @jit
@@ -48,8 +53,14 @@ def generate(level: LevelMap, seed: int, kind: int, difficulty: int, columns: in
     _goal(level, rng, x)
     if level.type != _OVERGROUND:
         _ceiling(level, rng)
+    finish(level)
+
+
+@jit
+def finish(level: LevelMap) -> None:
+    """Give the ground its look, and write the bit fields of all columns."""
     _dress(level)
-    for column in range(columns):
+    for column in range(level.columns):
         write_cells(level, column)
 
 

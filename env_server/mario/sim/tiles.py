@@ -13,6 +13,7 @@ from env_server.mario.sim.state import ROWS, LevelMap, World
 from glue.compiled.jit import jit
 
 EMPTY: Final = 0
+HIDDEN_BLOCK: Final = 1
 USED_BLOCK: Final = 4
 STAIR: Final = 9
 PIPE_MOUTH: Final = 10

@@ -59,7 +59,9 @@ def as_text(board: Standings, width: int | None = None) -> str:
         parts.append("\n".join(notes))
     parts += ["\n".join(LEGEND), one_line(board.program)]
     if board.seeds:
-        seeds = [(seed.task, str(seed.trial), str(seed.seed), _options(seed.options)) for seed in board.seeds]
+        seeds = [
+            (seed.task, str(seed.trial), str(seed.seed), json.dumps(seed.options)) for seed in board.seeds
+        ]
         parts.append(format_table(("task", "trial", "seed", "options"), seeds, prose=True))
     return "\n\n".join(parts)
 
@@ -104,10 +106,6 @@ def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
         str(standing.place_by_total),
         *(number(standing.tasks[task].score) for task in board.tasks),
     )
-
-
-def _options(options: object) -> str:
-    return json.dumps(options)
 
 
 def _finite(value: object) -> object:

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.competition.course import Course
 from experiment_runner.competition.records.journal import ENTER, Act
 from experiment_runner.competition.records.record import digest, record_path
-from experiment_runner.competition.records.seal import broken
+from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.store.layout import ABOUT_FILE
 from experiment_runner.store.records import EpisodeResult
@@ -31,8 +31,6 @@ from glue.errors import ExperimentError
 from glue.files import read_text
 
 _RESAMPLES: Final = 10_000
-"""Maximum size in bytes of the file that names the program that held the competition."""
-
 _INTERVAL: Final = (2.5, 97.5)
 _CURVE_POINTS: Final = 200
 """Number of intervals of a learning curve."""
@@ -140,27 +138,29 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
     Raises:
         ExperimentError: the run cannot be read, or was changed since it was sealed.
     """
-    if changed := broken(results):
-        raise ExperimentError(
-            f"{changed} were changed since they were written: put them back in {results.directory}, or try "
-            f"glue-compete verify {results.directory}"
-        )
-    competition = course.competition
-    tasks = tuple(task.name for task in competition.tasks)
-    excluded, counting = course.excluded, course.counting
-    lowest = _lowest(
-        results, {trial: counting[trial] for trial in counting if trial.parts[0] not in excluded}
-    )
-    found = {
-        name: _Entrant(results, admitted, excluded.get(name), tasks, lowest)
+    check_seal(results)
+    tasks = tuple(task.name for task in course.competition.tasks)
+    excluded = course.excluded
+    judged: dict[str, list[_Judged]] = {name: [] for name in course.entrants}
+    for judgement in _judged(results, course):
+        judged[judgement.trial.parts[0]].append(judgement)
+    lowest: dict[tuple[str, int], float] = {}
+    for name in judged.keys() - excluded.keys():
+        for one in judged[name]:
+            if one.forfeit is None and not one.missing:
+                trial = one.trial.parts[1:]
+                lowest[trial] = min(one.score, lowest.get(trial, math.inf))
+    found = [
+        _standing(admitted, judged[name], excluded.get(name), tasks, lowest)
         for name, admitted in course.entrants.items()
-    }
-    for planned, trial in counting.items():
-        found[planned.parts[0]].add(planned, trial)
+    ]
     return Standings(
-        competition.name,
+        course.competition.name,
         tasks,
-        _placed(list(found.values()), tasks),
+        (
+            *_placed([one for one in found if not one.missing], tasks),
+            *(one for one in found if one.missing),
+        ),
         _program(results.directory),
         tuple(_seeds(results, course)) if reveal else (),
         tuple(one for one in course.acts if one.act != ENTER),
@@ -174,120 +174,96 @@ def ranks(scores: Sequence[float]) -> list[float]:
     return [first + (count + 1) / 2 for first, count in zip(above, equal, strict=True)]
 
 
-def _lowest(results: Results, counting: Mapping[TrialId, TrialId]) -> dict[tuple[str, int], float]:
-    """Return the lowest verified score of trials played to the end, by task and number of the trial."""
-    lowest: dict[tuple[str, int], float] = {}
+class _Judged(NamedTuple):
+    """A trial of the competition, by the trial that counts for it.
+
+    trial       of the competition
+    missing     why it has no score; empty if it has one
+    forfeit     why it was forfeited; None if it was not
+    score       verified
+    curve       see `_curve`
+    """
+
+    trial: TrialId
+    missing: str
+    forfeit: str | None = None
+    score: float = math.nan
+    curve: FloatArray = np.zeros(0)
+
+
+def _judged(results: Results, course: Course) -> Iterator[_Judged]:
     outcomes, verdicts = results.outcomes(), results.verdicts()
-    for planned, trial in counting.items():
+    for planned, trial in course.counting.items():
         outcome, verdict = outcomes.get(trial), verdicts.get(trial)
-        if outcome and outcome.reason is None and verdict and verdict.problem is None:
-            _, task, number = planned.parts
-            lowest[task, number] = min(verdict.score, lowest.get((task, number), math.inf))
-    return lowest
-
-
-class _Entrant:
-    """The verified score of each trial of an entrant, by task."""
-
-    def __init__(
-        self,
-        results: Results,
-        admitted: Act,
-        excluded: str | None,
-        tasks: Sequence[str],
-        lowest: Mapping[tuple[str, int], float],
-    ) -> None:
-        self.admitted = admitted
-        self.name = admitted.subject
-        self.scores: dict[str, list[float]] = {task: [] for task in tasks}
-        self.curves: dict[str, list[FloatArray]] = {task: [] for task in tasks}
-        self.forfeits: list[Forfeit] = []
-        self._results = results
-        self._excluded = excluded
-        self._lowest = lowest
-        self._outcomes = results.outcomes()
-        self._verdicts = results.verdicts()
-        self._missing: list[str] = []
-
-    def add(self, planned: TrialId, trial: TrialId) -> None:
-        """Add a trial of the competition: what it scores is decided by the trial that counts for it."""
-        _, task, number = planned.parts
-        outcome, verdict = self._outcomes.get(trial), self._verdicts.get(trial)
         if outcome is None:
-            self._missing.append("not played to the end yet")
-            return
-        if outcome.reason is not None:
-            self.forfeits.append(Forfeit(task, number, outcome.reason))
-        if verdict is None:
-            self._missing.append("not verified yet: glue-compete verify does it")
+            yield _Judged(planned, "not played to the end yet")
+        elif verdict is None:
+            yield _Judged(planned, "not verified yet: glue-compete verify does it", outcome.reason)
         elif verdict.problem is not None:
-            self._missing.append(f"not verified: {verdict.problem}")
-        elif _digest(record_path(self._results.directory, trial)) != verdict.digest:
-            self._missing.append("changed since it was verified")
+            yield _Judged(planned, f"not verified: {verdict.problem}", outcome.reason)
+        elif _digest(record_path(results.directory, trial)) != verdict.digest:
+            yield _Judged(planned, "changed since it was verified", outcome.reason)
         else:
-            forfeited = outcome.reason is not None
-            most = self._lowest.get((task, number), math.inf) if forfeited else math.inf
-            self.scores[task].append(min(verdict.score, most))
-            if not forfeited:
-                self.curves[task].append(_curve(self._results.episodes(trial)))
-
-    @property
-    def missing(self) -> str:
-        """Reason for having no place; empty if the entrant has one."""
-        if self._excluded is not None:
-            return f"excluded: {self._excluded}"
-        if len(self._missing) > 1:
-            return f"{len(self._missing)} trials: {self._missing[0]}"
-        return self._missing[0] if self._missing else ""
+            curve = _curve(results.episodes(trial) if outcome.reason is None else ())
+            yield _Judged(planned, "", outcome.reason, verdict.score, curve)
 
 
-def _placed(entrants: list[_Entrant], tasks: Sequence[str]) -> tuple[Standing, ...]:
-    complete = [entrant for entrant in entrants if not entrant.missing]
-    means = {task: [float(np.mean(entrant.scores[task])) for entrant in complete] for task in tasks}
-    by_task = {task: ranks(means[task]) for task in tasks}
-    totals = [sum(means[task][i] for task in tasks) for i in range(len(complete))]
-    mean_ranks = [float(np.mean([by_task[task][i] for task in tasks])) for i in range(len(complete))]
+def _standing(
+    admitted: Act,
+    judged: Sequence[_Judged],
+    excluded: str | None,
+    tasks: Sequence[str],
+    lowest: Mapping[tuple[str, int], float],
+) -> Standing:
+    """Return an entrant's standing without its places, which depend on the others."""
+    missing = [one.missing for one in judged if one.missing]
+    why = missing[0] if missing else ""
+    if len(missing) > 1:
+        why = f"{len(missing)} trials: {why}"
+    if excluded is not None:
+        why = f"excluded: {excluded}"
+    scores: dict[str, TaskScore] = {}
+    for task in () if why else tasks:
+        theirs = [one for one in judged if one.trial.parts[1] == task]
+        trials = tuple(
+            one.score if one.forfeit is None else min(one.score, lowest.get(one.trial.parts[1:], math.inf))
+            for one in theirs
+        )
+        curves = [one.curve for one in theirs if len(one.curve)]
+        curve = tuple(np.mean(curves, axis=0).tolist()) if curves else ()
+        scores[task] = TaskScore(float(np.mean(trials)), trials, math.nan, curve)
+    return Standing(
+        admitted.subject,
+        tasks=scores,
+        forfeits=tuple(
+            Forfeit(*one.trial.parts[1:], one.forfeit) for one in judged if one.forfeit is not None
+        ),
+        missing=why,
+        player=admitted.player,
+        id=admitted.id,
+    )
+
+
+def _placed(entrants: Sequence[Standing], tasks: Sequence[str]) -> list[Standing]:
+    by_task = {task: ranks([one.tasks[task].score for one in entrants]) for task in tasks}
+    totals = [sum(one.tasks[task].score for task in tasks) for one in entrants]
+    mean_ranks = [float(np.mean([by_task[task][i] for task in tasks])) for i in range(len(entrants))]
     placed = []
-    for i, entrant in enumerate(complete):
-        low, high = _interval([entrant.scores[task] for task in tasks])
-        scores = {
-            task: TaskScore(
-                means[task][i],
-                tuple(entrant.scores[task]),
-                by_task[task][i],
-                _mean_curve(entrant.curves[task]),
-            )
-            for task in tasks
-        }
+    for i, one in enumerate(entrants):
+        low, high = _interval([one.tasks[task].trials for task in tasks])
         placed.append(
-            Standing(
-                entrant.name,
-                1 + sum(other < mean_ranks[i] for other in mean_ranks),
-                mean_ranks[i],
-                1 + sum(other > totals[i] for other in totals),
-                totals[i],
-                low,
-                high,
-                scores,
-                tuple(entrant.forfeits),
-                "",
-                entrant.admitted.player,
-                entrant.admitted.id,
+            replace(
+                one,
+                place=1 + sum(other < mean_ranks[i] for other in mean_ranks),
+                mean_rank=mean_ranks[i],
+                place_by_total=1 + sum(other > totals[i] for other in totals),
+                total=totals[i],
+                low=low,
+                high=high,
+                tasks={task: replace(one.tasks[task], rank=by_task[task][i]) for task in tasks},
             )
         )
-    placed.sort(key=lambda standing: (standing.mean_rank, -standing.total, standing.name))
-    others = [
-        Standing(
-            entrant.name,
-            forfeits=tuple(entrant.forfeits),
-            missing=entrant.missing,
-            player=entrant.admitted.player,
-            id=entrant.admitted.id,
-        )
-        for entrant in entrants
-        if entrant.missing
-    ]
-    return (*placed, *others)
+    return sorted(placed, key=lambda one: (one.mean_rank, -one.total, one.name))
 
 
 def _interval(scores: Sequence[Sequence[float]]) -> tuple[float, float]:
@@ -309,11 +285,6 @@ def _curve(episodes: Sequence[EpisodeResult]) -> FloatArray:
     earned = np.cumsum([episode.episode_return for episode in episodes])
     at = np.linspace(0, steps[-1], _CURVE_POINTS + 1)
     return np.interp(at, np.concatenate(([0], steps)), np.concatenate(([0.0], earned)))
-
-
-def _mean_curve(curves: Sequence[FloatArray]) -> tuple[float, ...]:
-    whole = [curve for curve in curves if len(curve)]
-    return tuple(np.mean(whole, axis=0).tolist()) if whole else ()
 
 
 def _digest(path: Path) -> bytes:

@@ -14,6 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+import msgspec
+
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import JOURNAL_FILE
 from glue.errors import ExperimentError
@@ -83,16 +85,9 @@ def acts_of(directory: Path) -> list[Act]:
         ExperimentError: the journal cannot be read.
     """
     try:
-        return [_act_in(line) for line in content(directory).splitlines()]
-    except (ValueError, TypeError, RecursionError) as error:
+        return msgspec.json.Decoder(Act).decode_lines(content(directory))
+    except (ValueError, RecursionError) as error:
         raise ExperimentError(f"{directory / JOURNAL_FILE} is not a journal: {error}") from None
-
-
-def _act_in(line: bytes) -> Act:
-    fields = json.loads(line)
-    if not isinstance(fields, dict) or not all(isinstance(value, str) for value in fields.values()):
-        raise ValueError("a line is not an object of texts")
-    return Act(**fields)
 
 
 def append(directory: Path, acts: Iterable[Act]) -> None:

@@ -6,7 +6,9 @@ for each difficulty, it plays only the levels of one difficulty, so that workers
 
 from __future__ import annotations
 
+import gzip
 import json
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +16,7 @@ from typing import Any, Final
 
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import VERSION
-from experiment_runner.executors.resume import check_sources, open_trials, sources_of
+from experiment_runner.executors.opening import Definition, open_run
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
@@ -26,6 +28,7 @@ from experiment_runner.study.generalisation.players import (
     SetBack,
     scored_levels,
 )
+from experiment_runner.study.generalisation.summary import Document
 from glue.errors import ConfigError, ExperimentError
 from glue.files import read_text
 from glue.options import parse_assignments
@@ -34,6 +37,9 @@ from glue.wire.messages import Role
 
 BENCHMARK_FILE: Final = "generalisation.json"
 """File of a run directory: its benchmark, and the version of the sets."""
+
+_MOST_BYTES: Final = 2**28
+"""Maximum size of a file of scores, in bytes; the scores of 16,032 levels take 5 MB."""
 
 _GOAL: Final = InfiniteMario().parameters.reward_goal
 
@@ -105,7 +111,7 @@ class Benchmark:
         given = {"agent": player.name, "options": json.dumps(dict(player.options))}
         label = player.label
         counts = {"learn": self.learn, "relearn": self.relearn}
-        where = sets.replace(",", "+") + ("" if part < 0 else f"/difficulty={part}")
+        where = sets.replace(",", "+").replace("/", "-") + ("" if part < 0 else f"/difficulty={part}")
         blocks = len(scored_levels(sets, part))
         noise = {"noise": self.noise} if self.noise else {}
         return TrialSpec(
@@ -138,6 +144,31 @@ def benchmark_of(directory: Path) -> Benchmark:
         raise ConfigError(f"{directory} is not a run of glue-generalise: {error}") from None
 
 
+def read_scores(path: Path) -> Document:
+    """Return the scores in a run, or in a file that `--out` or `studies.certificates` wrote.
+
+    Raises:
+        ConfigError: there are none.
+        ExperimentError: the run is not finished, or cannot be read.
+    """
+    if path.is_dir():
+        benchmark = benchmark_of(path)
+        with Results.open(path) as results:
+            return document(results, benchmark)
+    try:
+        with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
+            text = file.read(_MOST_BYTES + 1)
+        if len(text) > _MOST_BYTES:
+            raise ValueError(f"it is longer than {_MOST_BYTES} bytes")
+        scores: Document = json.loads(text)
+        names = ("name", "trials")
+        if not all(name in scores for name in names):
+            raise ValueError(f"it has no {' or '.join(names)}")
+    except (OSError, EOFError, zlib.error, ValueError) as error:
+        raise ConfigError(f"{path} is not a result of glue-generalise: {error}") from None
+    return scores
+
+
 def open_benchmark(directory: Path, benchmark: Benchmark, say: Callable[[str], None]) -> Store:
     """Return the store of a benchmark's run: a new one, or the one in the directory, prepared to continue.
 
@@ -157,15 +188,13 @@ def open_benchmark(directory: Path, benchmark: Benchmark, say: Callable[[str], N
         changed = [f"{name} is {recorded[name]}" for name in wanted if recorded[name] != wanted[name]]
         if changed or [record.spec for record in store.trials()] != specs:
             raise ExperimentError(f"{directory} is the run of another benchmark ({'; '.join(changed)})")
-        check_sources(directory, sources)
 
-    specs = benchmark.trials()
-    sources = sources_of([benchmark.player(seed) for seed in benchmark.seeds])
-    files = {BENCHMARK_FILE: benchmark.dump()}
-    return open_trials(directory, specs, files, check, sources=sources, say=say)
+    specs, files = benchmark.trials(), {BENCHMARK_FILE: benchmark.dump()}
+    players = [benchmark.player(seed) for seed in benchmark.seeds]
+    return open_run(directory, Definition(specs, files, players, check), say=say)
 
 
-def document(results: Results, benchmark: Benchmark) -> dict[str, Any]:
+def document(results: Results, benchmark: Benchmark) -> Document:
     """Return the scores of a finished run, as `glue-generalise --out FILE.json` writes them.
 
     Raises:

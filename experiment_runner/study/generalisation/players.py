@@ -18,13 +18,14 @@ import json
 import struct
 from collections.abc import Callable
 from itertools import product
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from env_server.mario import InfiniteMario
 from env_server.mario.game import Game
-from env_server.mario.level_sets import LevelSet, resolve_levels
+from env_server.mario.level_sets import LEVEL_SETS, LevelFolder, LevelSet, read_folder, resolve_levels
 from glue.errors import ConfigError, SaveError
 from glue.options import build
 from glue.plugins.loading import find
@@ -53,12 +54,14 @@ _STATE: Final = struct.Struct("<Qd?Q")
 """Number of episodes, last reward, whether the agent has learned, and the size of its learned state."""
 
 
-def level_set(name: str) -> LevelSet:
-    """Return the set of levels with this name; for NAME:N its first N levels.
+def level_set(name: str) -> LevelSet | LevelFolder:
+    """Return the set of levels of this name, for NAME:N its first N levels, for a folder those in its files.
 
     Raises:
-        ConfigError: there is no such set, or it has fewer levels.
+        ConfigError: there is no such set, or it has fewer levels; or the levels of a folder have changed.
     """
+    if name not in LEVEL_SETS and Path(name.partition("#")[0]).is_dir():
+        return read_folder(name)
     name, colon, count = name.partition(":")
     found = resolve_levels(name)
     assert found is not None
@@ -70,7 +73,21 @@ def level_set(name: str) -> LevelSet:
     return found._replace(numbers=found.numbers[: int(count)])
 
 
-def scored_levels(sets: str, difficulty: int = -1) -> list[tuple[LevelSet, int]]:
+def set_name(name: str) -> str:
+    """Return the name of a set with the digest of its levels, if they are in a folder.
+
+    Raises:
+        ConfigError: as `level_set`.
+    """
+    found = level_set(name)
+    if isinstance(found, LevelSet):
+        return name
+    if "," in found.name:
+        raise ConfigError(f"a folder of levels has no comma in its path, unlike {name}")
+    return found.name
+
+
+def scored_levels(sets: str, difficulty: int = -1) -> list[tuple[LevelSet | LevelFolder, int]]:
     """Return the set and the number of each level that is scored, in order.
 
     Args:
@@ -171,6 +188,7 @@ class NumberedLevels(Environment):
         levels = level_set(train)
         order = np.random.default_rng([_MIXING, seed])
         drawn = (levels.numbers[int(order.integers(len(levels.numbers)))] for _ in range(learn))
+        self._schedule: list[tuple[LevelSet | LevelFolder, int, int]]
         self._schedule = [(levels, number, relearn + 1 + i) for i, number in enumerate(drawn)]
         for scored in scored_levels(sets, difficulty):
             self._schedule += [(*scored, attempt) for attempt in range(relearn + 1)]
@@ -189,12 +207,8 @@ class NumberedLevels(Environment):
         levels, number, attempt = self._schedule[self._episodes]
         self._noise = Noise(self._probability, self._seed, number, attempt)
         self._episodes += 1
-        task = levels.level(self._mario.parameters, number)
+        self._mario = InfiniteMario(**levels.options(number))
         self._mario.env_init()
-        self._mario.env_message(
-            f"level level_seed={task.level_seed} level_type={task.level_type} "
-            f"level_difficulty={task.level_difficulty}"
-        )
         return self._mario.env_start()
 
     def env_step(self, action: Action) -> Step:

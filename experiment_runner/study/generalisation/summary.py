@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from experiment_runner.analysis.stats import FloatArray, Statistic, bootstrap_rng, interquartile_mean, mean
-from experiment_runner.report.tables import format_table, terminal_width
+from experiment_runner.report.tables import format_table, markdown_table, terminal_width
 from glue.errors import ConfigError
 
 _RESAMPLES: Final = 1000
@@ -79,7 +79,7 @@ def table(documents: Sequence[Document], solvable: Set[int] = frozenset(), *, pl
         head, rows = list(_HEAD), list(map(_gap_row, documents))
     if plain:
         return format_table(head, rows, width=terminal_width())
-    return markdown(head, rows, texts=2 if True in kinds else 1)
+    return markdown_table(head, rows, texts=2 if True in kinds else 1)
 
 
 def _gap_row(document: Document) -> list[str]:
@@ -106,8 +106,8 @@ def _by_difficulty(document: Document, messages: Sequence[str], solvable: Set[in
             rows.append(
                 [
                     *(document["name"], name, str(difficulty), str(len(chosen[0])), str(len(chosen))),
-                    _text(_estimate(goals, mean), 3),
-                    _text(_estimate(returns, interquartile_mean), 1),
+                    estimated(goals, mean, 3),
+                    estimated(returns, interquartile_mean, 1),
                     f"{steps / len(scores):.1f}",
                     f"{1000 * sum(score['seconds'] for score in scores) / steps:.3f}",
                     *(_mean_answer(scores, message) for message in messages),
@@ -131,18 +131,6 @@ def _mean_answer(scores: Sequence[dict[str, Any]], message: str) -> str:
         return ""
 
 
-def markdown(head: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
-    """Return a table whose first `texts` columns are aligned left, and the others right."""
-    lines = [f"| {' | '.join(cells)} |" for cells in (head, *rows)]
-    lines.insert(1, f"|{' --- |' * texts}{' ---: |' * (len(head) - texts)}")
-    return "\n".join(lines)
-
-
-def difference_in_goals(learned: FloatArray, told: FloatArray) -> str:
-    """Return the difference of two agents' goals on the same levels, shape (levels, 1), in points."""
-    return _text(_estimate(100 * (learned - told), mean), 1)
-
-
 def _scores(trials: Sequence[Sequence[dict[str, Any]]], what: str) -> FloatArray:
     """Return one kind of score, shape (levels, trials)."""
     return np.array([[score[what] for score in trial] for trial in trials], np.float64).T
@@ -161,8 +149,10 @@ def _compare(
     )
 
 
-def _estimate(scores: FloatArray, statistic: Statistic) -> Interval:
-    return _interval(float(statistic(scores.ravel())), _samples(scores, statistic, bootstrap_rng()))
+def estimated(scores: FloatArray, statistic: Statistic, digits: int) -> str:
+    """Return a statistic of scores, shape (levels, trials), with its interval."""
+    samples = _samples(scores, statistic, bootstrap_rng())
+    return _text(_interval(float(statistic(scores.ravel())), samples), digits)
 
 
 def _interval(value: float, samples: FloatArray) -> Interval:

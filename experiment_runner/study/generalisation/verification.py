@@ -2,21 +2,18 @@
 
 Both are documents, see `experiment_runner.study.generalisation.benchmark.document`. A score holds the
 actions of its episode, so that anybody can play them in the simulator and compare what they earn.
-Certificates are found by a search of the whole level. Without a solution, a score holds no actions, only the
-model steps spent.
+Certificates are found by `python -m studies.certificates`; without a solution, a score holds no actions, only
+the model steps spent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
 from typing import Any, Final
 
-from agents.planner.way import find_way
 from env_server.mario import InfiniteMario
 from env_server.mario.game import Game
-from env_server.mario.level_sets import VERSION, LevelSet
-from experiment_runner.study.generalisation.benchmark import Benchmark
+from env_server.mario.level_sets import VERSION, LevelFolder, LevelSet
 from experiment_runner.study.generalisation.players import (
     ACTIONS,
     Noise,
@@ -28,10 +25,7 @@ from experiment_runner.study.generalisation.summary import Document
 from glue.errors import ConfigError
 
 _TASK: Final = InfiniteMario().parameters
-_SIMS: Final = 1_000_000
-"""Model steps of the search for a certificate."""
 _MOST_ACTIONS: Final = 100_000
-_DIGITS: Final = "".join(ACTIONS)
 
 
 def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]:
@@ -68,21 +62,23 @@ def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]
     say(f"{replayed} episodes were replayed")
 
 
-def _difference(score: dict[str, Any], levels: LevelSet, noise: Noise) -> str:
+def _difference(score: dict[str, Any], levels: LevelSet | LevelFolder, noise: Noise) -> str:
     """Return in words how a score differs from a replay of its actions; empty if it does not."""
     actions = str(score["actions"])
     if not actions:
         return "" if not score["goal"] and score.get("sims") else "its actions are not recorded"
     if len(actions) > _MOST_ACTIONS or not set(actions) <= ACTIONS.keys():
         return "its actions are not those of Infinite Mario"
-    found = _replay(levels, int(score["level"]), actions, noise)
+    found = replay(levels, int(score["level"]), actions, noise)
     said = {"steps": len(actions), "goal": score["goal"], "episode_return": score["episode_return"]}
     return "; ".join(
         f"{name} is {said[name]}, replayed {found[name]}" for name in found if said[name] != found[name]
     )
 
 
-def _replay(levels: LevelSet, number: int, actions: str, noise: Noise | None = None) -> dict[str, Any]:
+def replay(
+    levels: LevelSet | LevelFolder, number: int, actions: str, noise: Noise | None = None
+) -> dict[str, Any]:
     """Return the outcome of actions, given by their digits, on a level, up to the end of the episode."""
     game = Game(levels.level(_TASK, number))
     game.start()
@@ -101,50 +97,3 @@ def solvable(document: Document) -> set[int]:
     """Return the numbers of the levels for which certificates hold a solution."""
     scores = (score for trial in document["trials"] for name in document["sets"] for score in trial[name])
     return {score["level"] for score in scores if score["goal"]}
-
-
-def certify(name: str, known: Document | None, keep: Callable[[Document], None]) -> Document:
-    """Find a certificate for each level of a set.
-
-    Args:
-        name: of the set, as `level_set` takes it.
-        known: certificates that were found before; their levels are skipped.
-        keep: called with the certificates so far, every 100 levels and at the end.
-
-    Raises:
-        ConfigError: there is no such set, or `known` are certificates of other levels.
-    """
-    column = name.partition(":")[0]
-    levels = level_set(name)
-    trial: dict[str, Any] = {"seed": 0, column: [], "level_sets_version": VERSION}
-    benchmark = Benchmark("certificates", "planner", sets=(column,), seeds=(0,))
-    if known is not None:
-        if known.get("name") != benchmark.name or known.get("sets") != [column]:
-            raise ConfigError(f"these are not certificates of {column}")
-        trial[column] = list(known["trials"][0][column])
-    document = {**asdict(benchmark), "trials": [trial]}
-    done = {score["level"] for score in trial[column]}
-    for count, number in enumerate([number for number in levels.numbers if number not in done], 1):
-        trial[column].append(_certificate(levels, number))
-        if count % 100 == 0:
-            keep(document)
-    trial[column].sort(key=lambda score: int(score["level"]))
-    keep(document)
-    return document
-
-
-def _certificate(levels: LevelSet, number: int) -> dict[str, Any]:
-    """Return the score of the way found to the goal, or a score without actions."""
-    game = Game(levels.level(_TASK, number))
-    game.start()
-    way, sims = find_way(game.world, game.level_map, _SIMS)
-    actions = "".join(_DIGITS[action] for action in way)
-    return {
-        "level": number,
-        "difficulty": levels.difficulty(number),
-        **_replay(levels, number, actions),
-        "seconds": 0.0,
-        "sims": sims,
-        "actions": actions,
-        "answers": {},
-    }

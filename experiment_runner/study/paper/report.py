@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from experiment_runner.report.plots import save
+from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+from experiment_runner.report.plots import learning_curves, save, scatter
 from experiment_runner.report.tables import counted
 from experiment_runner.store.database import reported
 from experiment_runner.store.output import written
-from experiment_runner.study.paper.experiments import ALL, SOAR
-from experiment_runner.study.paper.figures import figures
-from experiment_runner.study.paper.outcomes import LevelResults, load
-from experiment_runner.study.paper.shared_values import agreements
+from experiment_runner.study.paper.experiments import ALL, EXPERIMENTS, PAPER_LEVEL, SOAR, PaperLevel
+from experiment_runner.study.paper.outcomes import WINDOW, LevelResults, load
 from experiment_runner.study.paper.tables import as_csv, as_markdown, as_soar_markdown
 from glue.errors import ExperimentError
 
@@ -21,6 +20,9 @@ REPORT: Final = "report"
 BEGIN: Final = "<!-- written by glue-paper, from here -->"
 SOAR_BEGIN: Final = "<!-- written by glue-paper soar, from here -->"
 END: Final = "<!-- to here -->"
+_SAMPLE: Final = "sample"
+_BEST: Final = "best"
+_IN_CURVES: Final = (_SAMPLE, "4", "5", "6", "7", "8", _BEST)
 
 
 class Report(NamedTuple):
@@ -45,8 +47,8 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
     outcomes = load(out)
     if not outcomes:
         raise ExperimentError(f"{out} contains no finished episode of any experiment")
-    sections = _sections(outcomes, out)
-    page = None if docs is None else _with_tables(docs, sections)
+    sections = _sections(outcomes)
+    page = None if docs is None else with_tables(docs, sections)
     drawn = figures(outcomes)
     folder = _folder(out / REPORT)
     _write(folder / "tables.md", "\n".join(sections.values()))
@@ -66,7 +68,7 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
     return Report(outcomes, files)
 
 
-def _sections(outcomes: list[LevelResults], out: Path) -> dict[str, str]:
+def _sections(outcomes: list[LevelResults]) -> dict[str, str]:
     """Return the tables by the marks that they follow."""
     sections = {}
     own = [outcome for outcome in outcomes if outcome.experiment.group == ALL]
@@ -74,11 +76,11 @@ def _sections(outcomes: list[LevelResults], out: Path) -> dict[str, str]:
         sections[BEGIN] = as_markdown(own)
     soar = [outcome for outcome in outcomes if outcome.experiment.group == SOAR]
     if soar:
-        sections[SOAR_BEGIN] = as_soar_markdown(soar, agreements(out))
+        sections[SOAR_BEGIN] = as_soar_markdown(soar)
     return sections
 
 
-def _with_tables(docs: Path, sections: Mapping[str, str]) -> str:
+def with_tables(docs: Path, sections: Mapping[str, str]) -> str:
     """Return the text of a page with the sections after their marks."""
     with reported(f"cannot read {docs}"):
         text = docs.read_text(encoding="utf-8")
@@ -100,3 +102,65 @@ def _folder(path: Path) -> Path:
 def _write(path: Path, text: str) -> None:
     with written(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def figures(outcomes: Sequence[LevelResults]) -> dict[str, Figure]:
+    """Return the figures that can be drawn from these outcomes, by name.
+
+    figure-2, ...        the paper's: every episode of every trial as a dot, on the paper's level
+    soar-3, ...          the same for experiments on the Soar kernel, with our own agent
+    figure-13-nearest    the same for experiment 8 on the level where our reward is closest to the paper's
+    curves-0, curves-1   learning curves of the hierarchical agents, `best` and the sample agent, on the
+                         paper's level seed at difficulty 0 and 1
+    best                 every episode of `best` on the paper's level seed, by difficulty
+
+    Raises:
+        ExperimentError: matplotlib is not installed.
+    """
+    drawn = {}
+    for experiment in EXPERIMENTS.values():
+        level = PaperLevel(PAPER_LEVEL.seed, experiment.difficulties[0])
+        panels = {o.agent: o.curves for o in outcomes if o.experiment is experiment and o.level == level}
+        if panels and (experiment.figure is not None or experiment.group == SOAR):
+            name = f"figure-{experiment.figure}" if experiment.group == ALL else experiment.name
+            drawn[name] = scatter(panels, window=WINDOW, reference=_sample(outcomes, level))
+    nearest = _nearest([outcome for outcome in outcomes if outcome.level.seed != PAPER_LEVEL.seed])
+    if nearest is not None:
+        name = f"{nearest.agent}, level seed {nearest.level.seed}"
+        drawn[f"figure-{nearest.experiment.figure}-nearest"] = scatter({name: nearest.curves}, window=WINDOW)
+    for difficulty in (0, 1):
+        level = PaperLevel(PAPER_LEVEL.seed, difficulty)
+        curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
+        if curves:
+            drawn[f"curves-{difficulty}"] = learning_curves(
+                {("", name): one for name, one in curves.items()}, bootstrap_rng(), window=WINDOW
+            )
+    best = {
+        f"difficulty {o.level.difficulty}": o.curves
+        for o in outcomes
+        if o.experiment.name == _BEST and o.level.seed == PAPER_LEVEL.seed
+    }
+    if best:
+        drawn[_BEST] = scatter(best, window=WINDOW)
+    return drawn
+
+
+def _nearest(outcomes: Sequence[LevelResults]) -> LevelResults | None:
+    """Return the outcome whose reward is closest to the published one."""
+    distances = {
+        abs(float(outcome.reward.value) - outcome.published.reward): outcome
+        for outcome in outcomes
+        if outcome.published is not None and outcome.published.reward is not None
+    }
+    return distances[min(distances)] if distances else None
+
+
+def _sample(outcomes: Sequence[LevelResults], level: PaperLevel) -> tuple[str, FloatArray] | None:
+    for outcome in outcomes:
+        if outcome.experiment.name == _SAMPLE and outcome.level == level:
+            return "the sample agent", outcome.curves
+    return None

@@ -9,25 +9,17 @@ from typing import Final
 
 import numpy as np
 
-from experiment_runner.report.tables import counted, format_table
-from experiment_runner.study.paper.experiments import EPISODES, PAPER_LEVEL, TRIALS
-from experiment_runner.study.paper.goals import verdicts
+from experiment_runner.report.tables import counted, format_table, markdown_table
+from experiment_runner.study.paper.experiments import PAPER_LEVEL
 from experiment_runner.study.paper.outcomes import FINISHED, TOLERANCE, WINDOW, LevelResults
-from experiment_runner.study.paper.shared_values import Agreement
 
 _HEADER: Final = (
     "experiment", "agent", "level", "paper", "ours", "95 % interval", "single trials",
     "converged: paper", "reached", "settled", "trials reached", "values", "trials finish", "episodes finish",
 )  # fmt: skip
-_GOALS_HEADER: Final = ("required", "found", "met")
-_NOT_JUDGED: Final = f"not judged: needs {TRIALS} trials of {EPISODES} episodes"
-_MET: Final = {True: "yes", False: "**no**", None: _NOT_JUDGED}
 _CYCLES_HEADER: Final = (
     "experiment", "agent", "level", "steps per episode", "decision cycles per episode", "per step",
     "values per trial", "per episode",
-)  # fmt: skip
-_AGREEMENT_HEADER: Final = (
-    "experiment", "agent", "values of", "shared", "Soar and ours", "two of ours", "two on Soar",
 )  # fmt: skip
 _SHORT_HEADER: Final = ("agent", "level", "paper", "ours", "95 % interval", "trials finish")
 _TEXT_COLUMNS: Final = 3  # the first columns; the others are numbers
@@ -42,7 +34,7 @@ least half of its last {WINDOW} episodes reach the goal, that is, return {FINISH
 
 
 def as_markdown(outcomes: Sequence[LevelResults]) -> str:
-    """Return tables in Markdown: the paper's level, its higher difficulties, other seeds, the goals."""
+    """Return tables in Markdown: the paper's level, its higher difficulties, other seeds."""
     seed = PAPER_LEVEL.seed
     groups = {
         f"The paper's level: seed {seed}, difficulty {PAPER_LEVEL.difficulty}": [
@@ -56,15 +48,11 @@ def as_markdown(outcomes: Sequence[LevelResults]) -> str:
     tables = [
         f"**{title}**\n\n{_table(_HEADER, map(_cells, group))}" for title, group in groups.items() if group
     ]
-    given = verdicts(outcomes)
-    if given:
-        rows = ((v.required, v.found, _MET[v.met]) for v in given)
-        tables.append(f"**Required and found**\n\n{_table(_GOALS_HEADER, rows)}")
     return "\n\n".join([_LEGEND, *tables, _effort(outcomes)]) + "\n"
 
 
-def as_soar_markdown(outcomes: Sequence[LevelResults], agreements: Sequence[Agreement]) -> str:
-    """Return tables in Markdown about the agents on the Soar kernel and ours: results, cycles, values."""
+def as_soar_markdown(outcomes: Sequence[LevelResults]) -> str:
+    """Return tables in Markdown about the agents on the Soar kernel and ours: results, cycles."""
     counts = []
     for outcome in outcomes:
         if not outcome.cycles:
@@ -81,16 +69,9 @@ def as_soar_markdown(outcomes: Sequence[LevelResults], agreements: Sequence[Agre
                 f"{values / outcome.curves.shape[1]:.1f}",
             )
         )
-    alike = []
-    for found in agreements:
-        ranks = (found.soar_and_ours, found.two_of_ours, found.two_on_soar)
-        shown = ("" if rank is None else f"{rank:.2f}" for rank in ranks)
-        alike.append((found.experiment, f"`{found.agent}`", found.kind, f"{found.shared:,.0f}", *shown))
     tables = [f"**Rewards**\n\n{_table(_HEADER, map(_cells, outcomes))}"]
     if counts:
         tables.append(f"**Decision cycles, and values learned**\n\n{_table(_CYCLES_HEADER, counts)}")
-    if alike:
-        tables.append(f"**Rank correlation of the values**\n\n{_table(_AGREEMENT_HEADER, alike)}")
     return "\n\n".join([*tables, _effort(outcomes)]) + "\n"
 
 
@@ -120,8 +101,7 @@ def as_csv(outcomes: Sequence[LevelResults]) -> str:
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    rule = ["---" if number < _TEXT_COLUMNS else "---:" for number in range(len(header))]
-    return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
+    return markdown_table(header, [*rows], _TEXT_COLUMNS)
 
 
 def _cells(outcome: LevelResults) -> tuple[str, ...]:

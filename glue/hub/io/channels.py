@@ -3,9 +3,9 @@
 libzmq's own ROUTER is not used: it keeps all of a message that never ends, it aborts the process when a
 connection breaks in the middle of a flood (libzmq's issue 4364), and its threads double the time of a step.
 
-A connection has to take a seat in a session soon after it is made. In a turn of the loop, one message is read
-from it for each of its seats, so that sessions share the hub fairly. If a message was out of turn, the next
-one waits in the loop's queue. The hub reads from a peer no faster than the peer reads what it is sent.
+A connection has to join a session soon after it is made. In a turn of the loop, one message is read from it
+for each of its sessions, so that sessions share the hub fairly. If a message was out of turn, the next one
+waits in the loop's queue. The hub reads from a peer no faster than the peer reads what it is sent.
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from glue.doors import clock, network
 from glue.errors import RemoteProtocolError
-from glue.hub.config import Bind, HubConfig
+from glue.hub.channel import Channel
+from glue.hub.config import Bind, HubConfig, Keys
 from glue.hub.io.connection import Connection, take_leave
 from glue.hub.io.listener import Listener, OpenAddress
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
-from glue.hub.keys import Keys
-from glue.hub.peer import Route
-from glue.hub.sessions import Switchboard
+from glue.hub.sessions import Sessions
 from glue.sockets.options import limit_silence
+from glue.system import clock, network
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
 from glue.wire.limits import MAX_HEADER
@@ -35,14 +34,14 @@ from glue.wire.stream import Malformed, Stream
 MAX_UNSENT: Final = 64 * 2**20
 """Maximum number of bytes waiting to be sent to one peer; with more, the peer counts as unreachable."""
 
-MAX_UNSEATED: Final = 256
-"""Maximum number of connections without a seat; one more, and the oldest is dropped."""
+MAX_WITHOUT_SESSION: Final = 256
+"""Maximum number of connections that take part in no session; one more, and the oldest is dropped."""
 
 _BASE: Final = 6144
 """Bytes that a connection uses at most besides what it has received and not sent."""
 
-_SEAT: Final = 4608
-"""Bytes that a seat uses at most: the peer, its names, and the formats of its steps."""
+_PEER: Final = 4608
+"""Bytes that a peer in one session uses at most: its names, and the formats of its steps."""
 
 _MAX_COPIED: Final = 65_536
 """Maximum size of a body that is sent together with its head, in bytes; copying more costs memory."""
@@ -50,8 +49,8 @@ _MAX_COPIED: Final = 65_536
 _HELLO: Final = Kind.HELLO
 
 
-class _Channel:
-    """One connection, and the peer at its other end; a route of the switchboard.
+class _SocketChannel:
+    """One connection, and the peer at its other end; a channel of the sessions.
 
     Attributes:
         connection: the connection.
@@ -68,7 +67,7 @@ class _Channel:
         self.connection = connection
         self._channels = channels
         self._loop = channels.loop
-        self._switchboard = channels.switchboard
+        self._sessions = channels.sessions
         self._bind = bind
         # A frame that is only slightly too long is read, and answered with an error that says so.
         self._stream = Stream(zmtp.ROUTER, max_body + MAX_HEADER, max_body, mechanism)
@@ -88,23 +87,26 @@ class _Channel:
         kind = message[0]
         if connection.unsent and kind in OBSERVING:
             return False  # an observer that has not read the previous messages misses this one
-        head, data = self._stream.encode(message)
-        if len(data) > _MAX_COPIED:
-            self.send_joined()
-            connection.send(head)
-        else:
-            data = head + data
+        size = len(message[4])
+        if size > _MAX_COPIED and self._stream.copies and not self._sessions.memory.make_room(size):
+            return False
+        data, body = self._stream.encode(message)
+        if body and len(body) <= _MAX_COPIED:
+            data += body
+            body = b""
         joined = self._channels.joined
-        if kind not in STEPS:
-            self.send_joined()
-            connection.send(data)
-        elif joined is not None:
+        if kind in STEPS and joined is not None and not body:
             joined.setdefault(self, []).append(data)
-        else:
-            connection.send(data)
+            return True
+        if joined:
+            self.send_joined()
+        connection.send(data)
+        if body:
+            connection.send(body)
+        if kind in STEPS:
             self._loop.expect(connection)
         if connection.unsent:
-            self._weigh()
+            self._account_for_data()
         return True
 
     def send_joined(self) -> None:
@@ -115,12 +117,12 @@ class _Channel:
             self.connection.send(b"".join(steps))
             self._loop.expect(self.connection)
             if self.connection.unsent:
-                self._weigh()
+                self._account_for_data()
 
     @property
-    def seated(self) -> bool:
+    def in_session(self) -> bool:
         """Whether it takes part in a session."""
-        return self._switchboard.num_seats(self) > 0
+        return self._sessions.num_sessions(self) > 0
 
     def forget(self, session: str) -> None:
         """Forget what was learned of the messages of a session, in which it takes part no longer."""
@@ -128,13 +130,13 @@ class _Channel:
         self.account()
 
     def evict(self, why: str) -> None:
-        """Drop the connection, which uses too much memory, or its seats if it is gone already."""
+        """Drop the connection, which uses too much memory, or its peers if it is gone already."""
         if self._channels.has(self):
             self._channels.drop(self, why)
         else:
-            self._switchboard.lose(self, why, clock.monotonic())
+            self._sessions.lose(self, why, clock.monotonic())
 
-    def _weigh(self) -> None:
+    def _account_for_data(self) -> None:
         """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
         held = (self._stream.buffered + self.connection.unsent) * 9 // 8  # buffers grow by an eighth
         if held != self._held:
@@ -142,73 +144,82 @@ class _Channel:
             self.account()
 
     def account(self) -> None:
-        """Account for the connection until it is dropped, and for its seats, which may outlast it."""
+        """Account for the connection until it is dropped, and for its peers, which may outlast it."""
         used = _BASE + self._held if self._channels.has(self) else 0
-        self._switchboard.memory.hold(self, used + _SEAT * self._switchboard.num_seats(self))
+        self._sessions.memory.account(self, used + _PEER * self._sessions.num_sessions(self))
 
     def ready(self, now: float) -> None:
-        """Act on messages received, at most one for each seat."""
-        connection, stream, switchboard = self.connection, self._stream, self._switchboard
+        """Act on messages received, at most one for each session."""
+        connection, memory = self.connection, self._sessions.memory
         data = connection.receive()
         if data:
-            stream.receive_data(data)
-        left = switchboard.num_seats(self) or 1
-        event: Message | bytes | None = b""  # None: nothing is left to read
+            self._stream.receive_data(data)
         try:
-            while left and not connection.unsent:
-                event = stream.next_event()
-                if event is None:
-                    break
-                left -= 1
-                if type(event) is not Message:
-                    connection.in_turn = False
-                    connection.send(event)
-                    break
-                if left and not stream.empty:
-                    self._channels.join()
-                connection.in_turn = switchboard.receive(self, event, now)
-                if event[0] is _HELLO:
-                    self._channels.greeted(self, event)
-                if not connection.in_turn:
-                    break
-        except (Malformed, UnknownKind) as error:
-            connection.in_turn = False
-            had_seats = self.seated
-            switchboard.malformed(self, error, now)
-            if not had_seats and isinstance(error, Malformed):
-                self._dismiss(str(error))
-                return
+            all_read = self._act(now)
         except RemoteProtocolError as error:
-            if isinstance(error, zmtp.HandshakeRefused):
-                connection.send(error.farewell)
-            self._dismiss(str(error))
-            return
+            self._reject(error, now)
+            all_read = self._stream.empty
         finally:
             if self._channels.joined is not None:
                 self._channels.send_joined()
+        if self._dismissed:
+            return
         if connection.unsent:
-            # The turn after everything has been sent resumes here.
-            connection.read(False)
-        elif event is None or stream.empty:
-            connection.read(True)
-            if data is not None and not data:
-                self._channels.drop(self, None)
-                return
-        else:
+            connection.read(False)  # the turn after everything has been sent resumes here
+        elif not all_read:
             connection.read(False)
             connection.later()
-        if connection.unsent or self._held or not stream.empty:
-            self._weigh()
-        if switchboard.memory.exceeded:
-            switchboard.memory.relieve()
+        elif data == b"":
+            self._channels.drop(self, None)
+            return
+        else:
+            connection.read(True)
+        if connection.unsent or self._held or not self._stream.empty:
+            self._account_for_data()
+        if memory.exceeded:
+            memory.enforce()
+
+    def _act(self, now: float) -> bool:
+        """Act on at most one message for each session; return whether all that was received has been read."""
+        connection, stream, sessions = self.connection, self._stream, self._sessions
+        left = sessions.num_sessions(self) or 1
+        while left and not connection.unsent:
+            event = stream.next_event()
+            if event is None:
+                return True
+            left -= 1
+            if type(event) is not Message:
+                connection.in_turn = False
+                connection.send(event)
+                break
+            if left and not stream.empty:
+                self._channels.join()
+            connection.in_turn = sessions.receive(self, event, now)
+            if event[0] is _HELLO:
+                self._channels.greeted(self, event)
+            if not connection.in_turn:
+                break
+        return stream.empty
+
+    def _reject(self, error: RemoteProtocolError, now: float) -> None:
+        """Act on bytes that are not a message; keep a connection on which others may follow."""
+        self.connection.in_turn = False
+        in_session = self.in_session
+        if isinstance(error, Malformed | UnknownKind):
+            self._sessions.malformed(self, error, now)
+            if in_session or isinstance(error, UnknownKind):
+                return
+        elif isinstance(error, zmtp.HandshakeRefused):
+            self.connection.send(error.farewell)
+        self._dismiss(str(error))
 
     def failed(self, now: float) -> None:
         """Forget the connection, which was reset after an error of the hub."""
         self._channels.drop(self, None)
-        self._switchboard.lose(self, "was dropped after an error of the hub", now)
+        self._sessions.lose(self, "was dropped after an error of the hub", now)
 
     def close(self) -> None:
-        """Close the connection, and release everything that is kept for it; the peer's seats may remain."""
+        """Close the connection, and release everything that is kept for it; its peers may remain."""
         self._stream = Stream(zmtp.ROUTER, 0)
         self.connection.close()
 
@@ -216,13 +227,13 @@ class _Channel:
         """End the connection once the peer has received all messages so far; send it no more."""
         self._dismissed = True
         self._stream = Stream(zmtp.ROUTER, 0)
-        self._weigh()
+        self._account_for_data()
         self._channels.complain(self, why)
         self.connection.in_turn = False
         self.connection.finish()
 
 
-class _KeyedChannel(_Channel):
+class _KeyedChannel(_SocketChannel):
     """A connection at an address with keys: it uses CURVE, and may join where both key and address allow."""
 
     def __init__(
@@ -258,12 +269,12 @@ class Channels:
         loop: the loop it runs in, not yet running.
         config: times and limits.
         addresses: open addresses for peers; closed by the caller.
-        switchboard: acts on the messages received.
+        sessions: acts on the messages received.
         log: takes a line for people about each connection that is dropped.
 
     Attributes:
         loop: as given.
-        switchboard: as given.
+        sessions: as given.
         joined: while several messages are acted on, the resulting steps, by channel; otherwise None. Sent
             one by one, the first step would wake the peer to find only one call waiting.
     """
@@ -273,24 +284,24 @@ class Channels:
         loop: Loop,
         config: HubConfig,
         addresses: Sequence[tuple[Bind, OpenAddress]],
-        switchboard: Switchboard,
+        sessions: Sessions,
         log: Log,
     ) -> None:
         self.loop = loop
-        self.switchboard = switchboard
-        self.joined: dict[_Channel, list[bytes]] | None = None
+        self.sessions = sessions
+        self.joined: dict[_SocketChannel, list[bytes | bytearray]] | None = None
         self._config = config
         self._log = log
         self._complaint = ""
         self._keys: Keys | None = None  # keys that have replaced those of the addresses
-        self._open: dict[_Channel, None] = {}  # in the order in which they were accepted
-        self._unseated: dict[_Channel, float] = {}
-        """Channels without a seat, the oldest first, each with the time since which it has had none."""
+        self._open: dict[_SocketChannel, None] = {}  # in the order in which they were accepted
+        self._without_session: dict[_SocketChannel, float] = {}
+        """Channels that take part in no session, the oldest first, and since when."""
         self._listeners = [
             Listener(loop, address, partial(self._accept, bind), log) for bind, address in addresses
         ]
         loop.on_tick(self._tick)
-        switchboard.on_leave(self._left)
+        sessions.on_leave(self._left)
 
     def close(self) -> None:
         """Close, after a short wait for the last messages to be read."""
@@ -308,7 +319,7 @@ class Channels:
         for channel in list(self._open):
             if isinstance(channel, _KeyedChannel) and (why := channel.renew(keys)):
                 self.drop(channel, why)
-                self.switchboard.lose(channel, f"was dropped: {why}", now)
+                self.sessions.lose(channel, f"was dropped: {why}", now)
 
     def join(self) -> None:
         """Hold the steps that are delivered from now on, to be sent together at the next `send_joined`."""
@@ -321,31 +332,31 @@ class Channels:
             channel.send_joined()
         self.joined = None
 
-    def greeted(self, channel: _Channel, hello: Message) -> None:
+    def greeted(self, channel: _SocketChannel, hello: Message) -> None:
         """Note that a HELLO of a connection was answered."""
         channel.account()
-        if channel.seated:
-            self._unseated.pop(channel, None)
+        if channel.in_session:
+            self._without_session.pop(channel, None)
         capabilities = hello.scalars[-1]
         assert isinstance(capabilities, tuple)
         if "batch" in capabilities:
             self.loop.spin_longer()
 
-    def drop(self, channel: _Channel, why: str | None) -> None:
+    def drop(self, channel: _SocketChannel, why: str | None) -> None:
         """Close a connection; `why`, if it should be logged, completes a sentence about it."""
         if why is not None:
             self.complain(channel, why)
         self._open.pop(channel, None)
-        self._unseated.pop(channel, None)
+        self._without_session.pop(channel, None)
         channel.close()
         channel.account()
         self._log.connection(f"{channel.connection.name} is gone")
 
-    def has(self, channel: _Channel) -> bool:
+    def has(self, channel: _SocketChannel) -> bool:
         """Return whether a connection has not been dropped."""
         return channel in self._open
 
-    def complain(self, channel: _Channel, why: str) -> None:
+    def complain(self, channel: _SocketChannel, why: str) -> None:
         """Log why a connection is dropped, unless the reason is the same as the last time."""
         # A peer with the wrong kind of socket connects again and again.
         if why != self._complaint:
@@ -353,31 +364,30 @@ class Channels:
             self._log(f"{channel.connection.name} was dropped: {why}")
 
     def _accept(self, bind: Bind, connected: network.socket, name: str, now: float) -> None:
-        while len(self._unseated) >= MAX_UNSEATED:
-            oldest = next(iter(self._unseated))
-            self.drop(oldest, f"{MAX_UNSEATED} newer connections have not joined a session either")
+        while len(self._without_session) >= MAX_WITHOUT_SESSION:
+            oldest = next(iter(self._without_session))
+            self.drop(oldest, f"{MAX_WITHOUT_SESSION} newer connections have not joined a session either")
         limit_silence(connected, self._config.timeout)
         connection = Connection(self.loop, connected, name, self._config.heartbeat)
         max_body = self._config.max_body
         if bind.keys is None:
-            channel = _Channel(self, connection, bind, max_body)
+            channel = _SocketChannel(self, connection, bind, max_body)
             connection.send(zmtp.GREETING)
         else:
             channel = _KeyedChannel(self, connection, bind, max_body, self._keys or bind.keys)
             connection.send(zmtp.CURVE_GREETING)
         self._open[channel] = None
-        self._unseated[channel] = now
+        self._without_session[channel] = now
         channel.account()
         self._log.connection(f"{name} connected")
 
-    def _left(self, route: Route, session: str) -> None:
-        if isinstance(route, _Channel):
-            route.forget(session)
-            route.account()
+    def _left(self, channel: Channel, session: str) -> None:
+        if isinstance(channel, _SocketChannel):
+            channel.forget(session)
 
     def _tick(self, now: float) -> None:
         for channel in list(self._open):
-            if channel.seated:
-                self._unseated.pop(channel, None)
-            elif now - self._unseated.setdefault(channel, now) >= self._config.greeting:
+            if channel.in_session:
+                self._without_session.pop(channel, None)
+            elif now - self._without_session.setdefault(channel, now) >= self._config.greeting:
                 self.drop(channel, None)

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Final, Protocol
 
-from glue.doors import clock, network
 from glue.hub.io.loop import FAILURE, READ, WRITE, Events, Loop
 from glue.sockets.options import probe_when_silent
+from glue.system import clock, network
 
 _CHUNK: Final = 65_536
 """Maximum bytes to read at once; a larger buffer costs a system call, even if the message is short."""
@@ -127,8 +127,8 @@ class Connection:
                 self._glanced = self._failed_to_receive()
         return self._event
 
-    def send(self, data: bytes) -> None:
-        """Send `data`, now or as soon as the other side reads."""
+    def send(self, data: bytes | bytearray) -> None:
+        """Send `data`, now or as soon as the other side reads; it must not be changed any more."""
         pieces = self._unsent
         if not pieces:
             try:
@@ -226,7 +226,7 @@ class Connection:
         self._gone = True
         return b""
 
-    def _failed_to_send(self, error: OSError, data: bytes | memoryview) -> int:
+    def _failed_to_send(self, error: OSError, data: bytes | bytearray | memoryview) -> int:
         """Return how many bytes of `data` need not be sent any more: all, if the other side is gone."""
         if isinstance(error, BlockingIOError):
             return 0

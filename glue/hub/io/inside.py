@@ -16,12 +16,12 @@ from collections.abc import Mapping
 
 from glue.client.answers import ServedPlayer
 from glue.console import show_failure
-from glue.doors import chance, clock
 from glue.errors import GlueError, described
 from glue.hub.config import DEFAULT_SESSION
 from glue.hub.io.server import Hub
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.roles import AgentLike, EnvironmentLike
+from glue.system import chance, clock
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
@@ -61,7 +61,7 @@ class InsideTransport:
 
         def join() -> None:
             for player in joining:
-                hub.switchboard.receive(player, player.hello(session), clock.monotonic())
+                hub.sessions.receive(player, player.hello(session), clock.monotonic())
 
         hub.loop.alone(join)
 
@@ -81,7 +81,7 @@ class InsideTransport:
         def send() -> bool:
             if loop.stopping is not None:
                 return False
-            self._hub.switchboard.receive(self, message, clock.monotonic())
+            self._hub.sessions.receive(self, message, clock.monotonic())
             return True
 
         return loop.alone(send)
@@ -102,7 +102,7 @@ class InsideTransport:
     def _take_turns(self) -> None:
         """Take turns, and carry out the players' calls, until a message is received or the time is over."""
         loop, received, calls = self._hub.loop, self._received, self._calls
-        receive = self._hub.switchboard.receive
+        receive = self._hub.sessions.receive
         until = clock.monotonic() + self._wait
         while not received and loop.stopping is None and (left := until - clock.monotonic()) > 0:
             if not calls:
@@ -118,7 +118,7 @@ class InsideTransport:
     def close(self, linger: float | None = None) -> None:
         """Do nothing: nothing is left to deliver."""
 
-    # The hub's side, as a route of the switchboard.
+    # The hub's side, as a channel of the sessions.
 
     def deliver(self, message: Message) -> bool:
         """Hand the experiment a message."""
@@ -131,7 +131,7 @@ class InsideTransport:
 
 
 class _InsidePlayer:
-    """A player in the hub's process; a route of the switchboard.
+    """A player in the hub's process; a channel of the sessions.
 
     Args:
         role: its role.
@@ -178,7 +178,7 @@ class _InsidePlayer:
         return () if answer is None else (answer,)
 
     def deliver(self, message: Message) -> bool:
-        """Take a message from the switchboard; return False once the player has failed or was dismissed."""
+        """Take a message from the sessions; return False once the player has failed or was dismissed."""
         if self._gone:
             return False
         if message.kind in CALLS:

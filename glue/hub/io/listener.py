@@ -22,10 +22,10 @@ from contextlib import suppress
 from typing import Final
 
 from glue.closing import Closing
-from glue.doors import network
 from glue.errors import ConfigError
 from glue.hub.io.loop import READ, Loop
 from glue.sockets.options import unix_address
+from glue.system import network
 
 Accept = Callable[[network.socket, str, float], None]
 """A function of a connection, the peer's address for people, and the time."""

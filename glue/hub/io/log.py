@@ -13,7 +13,7 @@ from datetime import datetime
 from enum import IntEnum
 from typing import Final
 
-from glue.doors import threads
+from glue.system import threads
 
 _CAPACITY: Final = 1000
 """Maximum number of lines that wait to be written."""

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, Protocol, TypeVar
 
-from glue.doors import clock, network, threads
 from glue.sockets.spinning import LONG_SPIN_SECONDS, Spin
+from glue.system import clock, network, threads
 
 READ: Final = network.POLLIN
 WRITE: Final = network.POLLOUT

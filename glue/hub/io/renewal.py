@@ -9,10 +9,10 @@ from pathlib import Path
 from queue import SimpleQueue
 from types import FrameType
 
-from glue.doors import threads
 from glue.errors import ConfigError
 from glue.hub.io.server import Hub
 from glue.keys.allowed import read_keys
+from glue.system import threads
 
 
 @contextmanager

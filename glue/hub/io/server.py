@@ -3,7 +3,7 @@
     with Hub(HubConfig()).in_background() as hub:
         print(hub.endpoints)
 
-The loop receives, decodes a small header, lets the switchboard act, and sends. Nothing in it waits for a
+The loop receives, decodes a small header, lets the sessions act, and sends. Nothing in it waits for a
 peer. Other sources of messages, such as the gateway for RL-Glue's original programs, run in the same loop.
 """
 
@@ -14,16 +14,15 @@ from contextlib import ExitStack, contextmanager
 from typing import Final
 
 from glue.closing import Closing
-from glue.doors import clock as door
-from glue.doors import threads
 from glue.errors import GlueError
-from glue.hub.config import HubConfig
+from glue.hub.config import HubConfig, Keys
 from glue.hub.io.channels import Channels
 from glue.hub.io.listener import OpenAddress, open_address
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
-from glue.hub.keys import Keys
-from glue.hub.sessions import Switchboard
+from glue.hub.sessions import Sessions
+from glue.system import clock as system_clock
+from glue.system import threads
 
 _NONE: Final[Mapping[str, OpenAddress]] = {}
 
@@ -44,7 +43,7 @@ class Hub(Closing):
         config: as given.
         log: passes lines on to the log that was given.
         loop: the loop it runs in; a tick is a heartbeat.
-        switchboard: receiver of all messages.
+        sessions: receiver of all messages.
         endpoints: the addresses listened on, with free ports resolved.
 
     Raises:
@@ -69,8 +68,8 @@ class Hub(Closing):
             self.endpoints: list[str] = [address.endpoint for _, address in addresses]
             self.loop: Loop = Loop(config.heartbeat, self.log.error)
             closing.callback(self.loop.close)
-            self.switchboard: Switchboard = Switchboard(config, self.log, clock or door.monotonic)
-            self._channels = Channels(self.loop, config, addresses, self.switchboard, self.log)
+            self.sessions: Sessions = Sessions(config, self.log, clock or system_clock.monotonic)
+            self._channels = Channels(self.loop, config, addresses, self.sessions, self.log)
             closing.callback(self._channels.close)
             self._closing = closing.pop_all()
         self._closing.callback(self._take_leave)
@@ -80,7 +79,7 @@ class Hub(Closing):
 
     def run(self) -> None:
         """Serve until `stop` is called; then close."""
-        self.loop.on_tick(self.switchboard.tick)
+        self.loop.on_tick(self.sessions.tick)
         self.loop.on_tick(self._renew_keys)
         with self:
             self.loop.run()
@@ -110,7 +109,7 @@ class Hub(Closing):
     def renew_keys(self, keys: Keys) -> None:
         """Replace the keys of every address that has any, at the next heartbeat; callable from any thread.
 
-        Peers whose key is gone, or now has another permit, lose their connection and their seats.
+        Peers whose key is gone, or now has another permit, lose their connection and leave their sessions.
         """
         self._new_keys = keys
 
@@ -142,6 +141,6 @@ class Hub(Closing):
             self._ended.set()
 
     def _take_leave(self) -> None:
-        self.switchboard.close(self.loop.stopping or "the hub failed")
+        self.sessions.close(self.loop.stopping or "the hub failed")
         for close in self._closers:
             close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -19,6 +20,7 @@ from glue.compiled.records import new
 from glue.errors import RemoteProtocolError
 from glue.roles import Agent
 from glue.types import Observation
+from tests.agents.conftest import TASK_SPEC
 
 if TYPE_CHECKING:
     from tests.agents.conftest import Draw
@@ -69,6 +71,15 @@ def test_places_and_speeds_must_be_finite_and_near(draw: Draw, number: float, pl
     assert screen_of(Observation(good.ints, doubles, good.chars)) is None
 
 
+@cache
+def agents() -> list[Agent]:
+    """Return initialised agents, since an init costs as much as many observations."""
+    made: list[Agent] = [HierarchicalAgent(), SampleAgent()]
+    for agent in made:
+        agent.agent_init(TASK_SPEC)
+    return made
+
+
 @given(
     ints=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=5, max_size=5),
     doubles=st.lists(st.floats(), min_size=8, max_size=8),
@@ -77,13 +88,8 @@ def test_places_and_speeds_must_be_finite_and_near(draw: Draw, number: float, pl
 def test_whatever_fills_the_layout_an_agent_acts_or_refuses(
     ints: list[int], doubles: list[float], chars: bytes
 ) -> None:
-    task_spec = (
-        "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 ACTIONS INTS (-1 1) (2 0 1) REWARDS (0 1)"
-    )
     observation = Observation(ints, doubles, chars)
-    agents: list[Agent] = [HierarchicalAgent(), SampleAgent()]
-    for agent in agents:
-        agent.agent_init(task_spec)
+    for agent in agents():
         try:
             assert agent.agent_start(observation).counts == (3, 0, 0)
         except RemoteProtocolError:

@@ -7,20 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from agents.mario.actions import ACTIONS, LEFT, action_number
+from agents.mario.agent import ACTIONS, LEFT, action_number
 from agents.mario.best import BestAgent
 from env_server.mario.environment import InfiniteMario
 from glue.roles import Environment
 from glue.saves import unpack
 from glue.types import Action, Observation
+from tests.agents.conftest import TASK_SPEC
 
 if TYPE_CHECKING:
     from tests.agents.conftest import Draw
-
-TASK_SPEC = (
-    "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
-    "ACTIONS INTS (-1 1) (2 0 1)  REWARDS (-10.0 100.0)"
-)
 RUN_LEFT = ACTIONS[action_number(LEFT, False, True)]
 
 

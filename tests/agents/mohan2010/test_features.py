@@ -19,21 +19,10 @@ SPRITE = 256
 ROOM = ("?  $7", "b M |", "77711")
 
 
-@pytest.fixture
-def whole(watch: type[Watcher]) -> Whole:
-    return Whole(watch)
-
-
-class Whole:
-    """Computes the key of the whole window."""
-
-    def __init__(self, watch: type[Watcher]) -> None:
-        self._watch = watch
-
-    def __call__(self, observation: Observation) -> int:
-        watcher = self._watch()
-        watcher(observation)
-        return int(window_whole(watcher.screen))
+def whole(watcher: Watcher, observation: Observation) -> int:
+    """Return the key of the whole window."""
+    watcher(observation)
+    return int(window_whole(watcher.screen))
 
 
 def parts(watcher: Watcher, observation: Observation) -> list[int]:
@@ -43,37 +32,37 @@ def parts(watcher: Watcher, observation: Observation) -> list[int]:
     return [int(key) for key in keys]
 
 
-def test_the_window_is_five_columns_by_three_rows_around_mario(draw: Draw, key: Key, whole: Whole) -> None:
+def test_the_window_is_five_columns_by_three_rows(draw: Draw, key: Key, watch: type[Watcher]) -> None:
     seen = "77711b   |?  $7"  # from the bottom up; Mario reads as blank
-    assert whole(draw(*ROOM)) == key(11, *map(ord, seen))
+    assert whole(watch(), draw(*ROOM)) == key(11, *map(ord, seen))
 
 
 @pytest.mark.parametrize(
     ("column", "row", "inside"), [(0, 0, True), (4, 2, True), (5, 0, False), (0, 3, False)]
 )
 def test_only_tiles_of_the_window_count(
-    draw: Draw, whole: Whole, column: int, row: int, inside: bool
+    draw: Draw, watch: type[Watcher], column: int, row: int, inside: bool
 ) -> None:
     rows = [line.ljust(6) for line in ("      ", *ROOM)]
-    plain = whole(draw(*rows))
+    plain = whole(watch(), draw(*rows))
     line = rows[3 - row]
     rows[3 - row] = line[:column] + "!" + line[column + 1 :]
-    assert (whole(draw(*rows)) != plain) is inside
+    assert (whole(watch(), draw(*rows)) != plain) is inside
 
 
-def test_tiles_out_of_view_are_a_symbol_of_their_own(draw: Draw, key: Key, whole: Whole) -> None:
+def test_tiles_out_of_view_are_a_symbol_of_their_own(draw: Draw, key: Key, watch: type[Watcher]) -> None:
     floor, air = [0, 0, *map(ord, "777")], [0, 0, *map(ord, "   ")]
-    assert whole(draw("M", "777")) == key(11, *floor, *air, *air)
+    assert whole(watch(), draw("M", "777")) == key(11, *floor, *air, *air)
 
 
-def test_a_monster_replaces_the_tile_that_its_place_rounds_to(draw: Draw, key: Key, whole: Whole) -> None:
+def test_a_monster_replaces_the_tile_at_its_place(draw: Draw, key: Key, watch: type[Watcher]) -> None:
     """4.8 and 4.5 round to 5, 4.4 to 4; of two monsters in one tile, the first in the list is shown."""
     blank, row = ord(" "), (ord(" "),) * 5
     for x, place in ((4.8, 4), (4.5, 4), (4.4, 3)):
         middle = [blank] * 5
         middle[place] = SPRITE + GOOMBA
         monsters = [(GOOMBA, x, 7.0, 0.0, 0.0), (MUSHROOM, x, 7.0, 0.0, 0.0)]
-        assert whole(draw(at=(3.5, 7.5), monsters=monsters)) == key(11, *row, *middle, *row)
+        assert whole(watch(), draw(at=(3.5, 7.5), monsters=monsters)) == key(11, *row, *middle, *row)
 
 
 def test_parts_tell_place_occupant_and_relative_speed(draw: Draw, key: Key, watch: type[Watcher]) -> None:

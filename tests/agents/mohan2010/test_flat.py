@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from agents.mario.actions import ACTIONS
+from agents.mario.agent import ACTIONS
 from agents.mohan2010.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from agents.mario.actions import ACTIONS, LEFT, RIGHT, STAY, action_number
+from agents.mario.agent import ACTIONS, LEFT, RIGHT, STAY, action_number
 from agents.mario.observation import GOOMBA
 from agents.mario.scene import A_COIN, A_MONSTER, A_QUESTION, STATIONARY
 from agents.mohan2010.flo import CONTEXT, FLO_LEVEL, KLO_LEVEL

@@ -17,9 +17,9 @@ from agents.soar.agents import (
     SoarHierarchicalProgrammedAgent,
     SoarObjectsCoarseAgent,
 )
-from agents.soar.rules import parse_rules
-from agents.soar.values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
+from agents.soar.player import parse_rules
 from env_server.mario.environment import InfiniteMario
+from studies.soar_values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
 from tests.agents.soar.memory import Memory, working_memory
 
 pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from agents.mario.actions import ACTIONS
+from agents.mario.agent import ACTIONS
 from agents.mario.monsters import THREATS_2010, THREATS_2012
 from agents.mario.scene import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Object
 from agents.soar.agents import SoarHierarchicalAgent, SoarHierarchicalFactsAgent, SoarObjectsCoarseAgent

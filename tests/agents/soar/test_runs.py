@@ -61,7 +61,7 @@ def test_a_run_whose_process_is_killed_with_its_kernel_is_resumed(undisturbed: P
 def test_a_worker_that_is_killed_with_its_kernel_is_replaced(undisturbed: Path, tmp_path: Path) -> None:
     experiment = start(*PLAN, "--workers", 1, "--out", "run", cwd=tmp_path)
     after_a_checkpoint(experiment, tmp_path / "run")
-    [worker] = children(experiment.pid, "experiment_runner.executors.local")
+    [worker] = children(experiment.pid, "experiment_runner.executors.workers")
     os.kill(worker, signal.SIGKILL)
     _, errors = experiment.communicate(timeout=60)
     assert experiment.returncode == 0, errors

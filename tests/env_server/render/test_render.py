@@ -20,10 +20,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from env_server.render.animation import between, outlined
 from env_server.render.artwork import PALETTE, SPRITES, TILES
 from env_server.render.drawing import HEIGHT, WIDTH, Picture, draw, save_gif, save_mp4, save_png
-from env_server.render.scene import KINDS, Sprite, buried_cells, is_scene, read_scene
+from env_server.render.scene import KINDS, Sprite, between, buried_cells, is_scene, outlined, read_scene
 from env_server.render.text import draw_text
 from glue.cli.screen import TerminalScreen, has_color
 from glue.errors import ConfigError, SimulatorError

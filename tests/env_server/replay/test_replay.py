@@ -6,7 +6,7 @@ import gzip
 import json
 import subprocess
 import tracemalloc
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -133,67 +133,47 @@ def test_keys_that_the_last_episode_did_not_leave_are_told(tmp_path: Path) -> No
         replay(write_golden(tmp_path / "a.jsonl.gz", lines))
 
 
-@pytest.mark.parametrize("hashed", [False, True])
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"r": 5.0}, r"step 9: the reward: expected 5\.0, got -0\.00999"),
-        ({"end": 1}, "step 9: terminal: expected True, got False"),
-        ({"a": [-1, 0, 0]}, "step 9: "),
-        ({"a": [2, 0, 0]}, "step 9: the environment refused: direction must be from -1 to 1"),
-    ],
-)
-def test_first_difference_is_told(tmp_path: Path, hashed: bool, change: dict[str, Any], message: str) -> None:
-    lines = golden_lines("variants.jsonl.gz")
-    step = lines[10]
-    step |= change
-    seen = Observation(step["i"], step["d"], step["c"].encode())
-    step["h"] = digest(seen, step["r"], step["end"] == 1).hex()
-    if hashed:
-        lines = as_hashes(lines)
-    with pytest.raises(Difference, match="run var-alpha0, episode 1, " + message):
-        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
+def moved(field: str, index: int, value: Any) -> Callable[[dict[str, Any]], None]:
+    """Return a change of one number or char of a step."""
+
+    def change(step: dict[str, Any]) -> None:
+        step[field] = [*step[field][:index], value, *step[field][index + 1 :]]
+        step["c"] = "".join(step["c"])
+
+    return change
 
 
 @pytest.mark.parametrize(
-    ("field", "index", "value", "message"),
+    ("change", "message", "hashed"),
     [
-        ("i", 0, 3, r"int 0 \(the camera's column\): expected 3, got 0"),
-        ("i", 1, 10, r"int 1 \(kind of sprite 0\): expected 10, got 0"),
-        ("i", 4, 1, r"int 4 \(winged of sprite 1\): expected 1, got 0"),
-        ("d", 2, 0.5, r"double 2 \(horizontal speed of sprite 0\): expected 0\.5, got "),
-        ("d", 7, 0.0, r"double 7 \(vertical speed of sprite 1\): expected 0\.0, got -0\.0"),
-        ("c", 23, "b", r"char 23 \(row 1, column 1\): expected b'b', got b' '"),
+        (lambda step: step.update(r=5.0), r"the reward: expected 5\.0, got ", True),
+        (lambda step: step.update(end=1), "terminal: expected True, got False", True),
+        (lambda step: step.update(a=[2, 0, 0]), "the environment refused: direction must be from -1", True),
+        (moved("i", 0, 3), "the observation: expected hash [0-9a-f]+, got hash ", True),
+        (moved("i", 0, 3), r"int 0 \(the camera's column\): expected 3, got 0", False),
+        (moved("i", 1, 10), r"int 1 \(kind of sprite 0\): expected 10, got 0", False),
+        (moved("i", 4, 1), r"int 4 \(winged of sprite 1\): expected 1, got 0", False),
+        (moved("d", 2, 0.5), r"double 2 \(horizontal speed of sprite 0\): expected 0\.5, got ", False),
+        (moved("d", 7, 0.0), r"double 7 \(vertical speed of sprite 1\): expected 0\.0, got -0\.0", False),
+        (moved("c", 23, "b"), r"char 23 \(row 1, column 1\): expected b'b', got b' '", False),
+        (
+            lambda step: step.update(i=step["i"][:-2], d=step["d"][:-4]),
+            "the observation: expected 3 ints, 4 doubles, 352 chars, got 5 ints, 8 doubles",
+            False,
+        ),
     ],
 )
-def test_difference_of_an_observation_names_the_number(
-    tmp_path: Path, field: str, index: int, value: Any, message: str
+def test_first_difference_is_told_and_names_the_number(
+    tmp_path: Path, change: Callable[[dict[str, Any]], None], message: str, hashed: bool
 ) -> None:
     lines = golden_lines("episodes.jsonl.gz", 1)
     step = lines[2]
-    if field == "c":
-        step["c"] = step["c"][:index] + value + step["c"][index + 1 :]
-    else:
-        step[field][index] = value
-    step["h"] = digest(Observation(step["i"], step["d"], step["c"].encode()), step["r"], False).hex()
-    with pytest.raises(Difference, match="run dev-0001, episode 1, step 1: " + message):
-        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
-
-
-def test_hash_that_differs_is_told(tmp_path: Path) -> None:
-    lines = as_hashes(golden_lines("variants.jsonl.gz"))
-    lines[1]["h"] = "0" * 16
-    with pytest.raises(Difference, match="start: the observation: expected hash 0000000000000000, got hash "):
-        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
-
-
-def test_missing_sprite_is_told_by_the_counts(tmp_path: Path) -> None:
-    lines = golden_lines("episodes.jsonl.gz", 1)
-    step = lines[2]
-    step["i"], step["d"] = step["i"][:-2], step["d"][:-4]
-    step["h"] = digest(Observation(step["i"], step["d"], step["c"].encode()), step["r"], False).hex()
-    with pytest.raises(Difference, match="expected 3 ints, 4 doubles, 352 chars, got 5 ints, 8 doubles"):
-        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
+    change(step)
+    seen = Observation(step["i"], step["d"], step["c"].encode())
+    step["h"] = digest(seen, step["r"], step["end"] == 1).hex()
+    path = write_golden(tmp_path / "a.jsonl.gz", as_hashes(lines) if hashed else lines)
+    with pytest.raises(Difference, match=f"run dev-0001, episode 1, step 1: {message}"):
+        replay(path)
 
 
 GOOD_RUN = golden_lines("variants.jsonl.gz")[0] | {"id": "a", "obs": "hash"}
@@ -360,12 +340,6 @@ def test_hashes_alone_cannot_be_shown(tmp_path: Path) -> None:
 LEVEL = golden_lines("levels.jsonl.gz", 1)[0]
 
 
-def test_levels_of_the_original_are_compared() -> None:
-    reader = GoldenReader(GOLDEN / "levels.jsonl.gz")
-    assert list(replayed_moments(reader, build)) == []
-    assert reader.levels == 120
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -514,7 +488,7 @@ def test_command_compares_with_the_environment_it_is_told_to(tmp_path: Path) -> 
 def test_long_episode_of_the_original_takes_no_memory(tmp_path: Path) -> None:
     run, start = golden_lines("variants.jsonl.gz", 1)[:2]
     step = {"kind": "step", "a": [0, 0, 0], "r": 0, "end": 0, "h": "0123456789abcdef"}
-    path = write_golden(tmp_path / "long", [*as_hashes([run, start]), *[step] * 20_000, {"kind": "end"}])
+    path = write_golden(tmp_path / "long", [*as_hashes([run, start]), *[step] * 8_000, {"kind": "end"}])
     tracemalloc.start()
     try:
         (episode,) = (part for part in GoldenReader(path) if isinstance(part, GoldenEpisode))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.comparing import compared, left_out, needed
@@ -20,7 +20,7 @@ from glue.errors import ExperimentError
 def make_run(directory: Path, text: str, lengths: list[int] | None = None) -> Results:
     """Make a run with these numbers of episodes in its trials; episode e of trial t has return 100 t + e."""
     plan = parse_plan(text)
-    with create_run(directory, plan) as store:
+    with open_run(directory, plan) as store:
         for number, (spec, length) in enumerate(zip(plan.expand(), lengths or [], strict=False)):
             for episode in range(1, length + 1):
                 store.record(spec.id, EpisodeResult(episode, 100.0 * number + episode, 1, True, 0.0))
@@ -131,7 +131,7 @@ def test_players_from_outside_are_called_by_the_names_that_they_gave(tmp_path: P
     plan = Plan(episodes=1, environments=(RoleSweep("mines"),))
     runs = []
     for name in ("Jumper", "Walker"):
-        with create_run(tmp_path / name, plan) as store:
+        with open_run(tmp_path / name, plan) as store:
             store.record_player("remote/mines/0", "agent", name, "Python 3.11.7")
         runs.append(Results.open(tmp_path / name))
     assert [setting.label for setting in collect(runs)] == ["Jumper", "Walker"]

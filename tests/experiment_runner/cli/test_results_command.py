@@ -20,7 +20,7 @@ from pyarrow import parquet
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.cli.plot import plot
 from experiment_runner.cli.results import results
-from experiment_runner.executors.resume import create_run, resume_run
+from experiment_runner.executors.opening import open_run, recorded_plan, remaining
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import overview
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
@@ -44,7 +44,7 @@ def result(trial: int, episode: int) -> EpisodeResult:
 
 def make(directory: Path, lengths: list[int], plan: Plan = PLAN) -> Path:
     """Make a run with these numbers of episodes in its trials."""
-    with create_run(directory, plan, clock=lambda: 1_000_000_000.0) as store:
+    with open_run(directory, plan, clock=lambda: 1_000_000_000.0) as store:
         for trial, (spec, length) in enumerate(zip(plan.expand(), lengths, strict=True)):
             for episode in range(1, length + 1):
                 checkpoint = Checkpoint(b"%d" % episode) if episode == 2 else None
@@ -79,8 +79,7 @@ def test_list_shows_every_run_below(tmp_path: Path, run: Path) -> None:
 
 
 def test_list_and_show_tell_a_run_under_way_and_a_failure(tmp_path: Path, run: Path) -> None:
-    store, _ = resume_run(run)
-    with store:
+    with open_run(run, recorded_plan(run)) as store:
         assert f"running  process {os.getpid()} on" in call("list", tmp_path)
         assert f"running (process {os.getpid()} on" in call("show", run).splitlines()[0]
         store.record_failure(TRIALS[3], "the agent raised ValueError: no")
@@ -168,8 +167,7 @@ EXPECTED = [
 
 
 def test_list_and_show_as_json_are_for_scripts(run: Path, tmp_path: Path) -> None:
-    store, _ = resume_run(run)
-    with store:
+    with open_run(run, recorded_plan(run)) as store:
         store.record_failure(TRIALS[3], "no")
         store.record(TRIALS[3], EpisodeResult(3, math.inf, 3, True, 1.0))
     (listed,) = json.loads(call("list", tmp_path, "--json"))
@@ -213,7 +211,7 @@ def test_remove_asks_first_and_refuses_a_run_under_way(run: Path, tmp_path: Path
     assert done.exit_code == 0
     assert f"remove {run} (4 trials, 15 episodes)?" in done.stderr
     assert f"kept {run}" in done.stderr
-    store, _ = resume_run(run)
+    store = open_run(run, recorded_plan(run))
     with store, pytest.raises(ExperimentError, match=f"in use by process {os.getpid()}"):
         call("remove", run, "--yes")
     with Results.open(run) as found:
@@ -262,7 +260,7 @@ def test_export_writes_through_links_and_to_devices_without_replacing_them(run: 
 
 
 def test_export_to_a_full_disk_or_a_reader_that_left_is_one_line_or_none(run: Path) -> None:
-    command = [sys.executable, "-m", "experiment_runner.cli.results", "export", str(run)]
+    command = [sys.executable, "-m", "glue_rl", "results", "export", str(run)]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode != 0
@@ -278,7 +276,7 @@ def test_export_to_a_full_disk_or_a_reader_that_left_is_one_line_or_none(run: Pa
 def test_unusual_returns_and_mixed_options_are_exported(tmp_path: Path) -> None:
     sweeps = tuple(RoleSweep("r", {"x": (1, 2.5), "y": y}, f"r{y}") for y in (3, "three"))
     plan = Plan(episodes=1, agents=sweeps)
-    with create_run(tmp_path / "run", plan) as store:
+    with open_run(tmp_path / "run", plan) as store:
         for spec, value in zip(plan.expand(), [math.nan, math.inf, -math.inf, 0.1 + 0.2], strict=True):
             store.record(spec.id, EpisodeResult(1, value, 1, True, 0.0))
     text = call("export", tmp_path / "run", "--format", "json")
@@ -331,17 +329,18 @@ def test_parts_of_one_plan_merge_to_a_run_of_that_plan(tmp_path: Path) -> None:
             assert both.checkpoint(trial_id) == (2, Checkpoint(b"2"))
     about = json.loads((tmp_path / "both" / ABOUT_FILE).read_text())
     assert list(about["merged"]) == [str(first), str(second)]
-    store, left = resume_run(tmp_path / "both", PLAN)
-    store.close()
-    assert [(trial.trial_id, trial.after) for trial in left] == [(TRIALS[1], 2), (TRIALS[3], 2)]
+    with open_run(tmp_path / "both", PLAN) as store:
+        assert [(trial.trial_id, trial.after) for trial in remaining(store)] == [
+            (TRIALS[1], 2),
+            (TRIALS[3], 2),
+        ]
 
 
 def test_runs_of_different_plans_merge_under_their_names(tmp_path: Path) -> None:
     other = Plan(episodes=4, trials=3, seed=1, environments=PLAN.environments, agents=PLAN.agents[:1])
     make(tmp_path / "a", [4, 4, 4, 4])
     make(tmp_path / "b", [4, 2, 1], other)
-    store, _ = resume_run(tmp_path / "b")
-    with store:
+    with open_run(tmp_path / "b", recorded_plan(tmp_path / "b")) as store:
         store.record_void("random/mario/0", 1, "the agent was lost")
         store.record_failure("random/mario/2", "it broke")
     call("merge", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "ab")
@@ -371,8 +370,7 @@ def test_merged_run_without_a_plan_is_not_said_to_go_on(tmp_path: Path, run: Pat
 def test_runs_that_contradict_each_other_do_not_merge(tmp_path: Path) -> None:
     make(tmp_path / "a", [4, 4, 4, 4])
     make(tmp_path / "b", [2, 0, 0, 0])
-    store, _ = resume_run(tmp_path / "b")
-    with store:
+    with open_run(tmp_path / "b", recorded_plan(tmp_path / "b")) as store:
         store.rewind(TRIALS[0], 1)
         store.record(TRIALS[0], EpisodeResult(2, 99.0, 2, True, 1.0))
     with pytest.raises(ExperimentError, match=f"episode 2 of {TRIALS[0]} differs between .*/a and .*/b"):
@@ -392,7 +390,7 @@ def test_merge_of_a_run_under_way_copies_no_checkpoint_without_its_episodes(
 
         return reading
 
-    with create_run(tmp_path / "run", PLAN) as store, monkeypatch.context() as patched:
+    with open_run(tmp_path / "run", PLAN) as store, monkeypatch.context() as patched:
         for name in ("episodes", "checkpoint"):
             patched.setattr(Results, name, and_then_an_episode_is_recorded(getattr(Results, name)))
         call("merge", tmp_path / "run", "--out", tmp_path / "merged")

@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from experiment_runner.competition.match import Match, play
-from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
-from experiment_runner.competition.starting import Launch, Running
+from experiment_runner.competition.starters import Launch, Running, Starter
+from experiment_runner.competition.trials import trials
 from glue.client.players import serve_agent
 from glue.errors import GlueError
-from glue.hub.config import TimeLimits
 from glue.roles import Agent
 from glue.types import Action, Observation
 
@@ -44,34 +43,11 @@ class Walker(Agent):
         return self.act()
 
 
-class InThread:
-    """Starts an agent in a thread, which joins over its launch's socket; an agent of None never joins."""
-
-    def __init__(self, agent: Any, running: Callable[[Any, Launch], Running] | None = None) -> None:
-        self.agent = agent
-        self.running = running or Thread
-        self.launches: list[Launch] = []
-
-    def check(self, entrant: Entrant, limits: Limits) -> str:
-        return ""
-
-    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Running:
-        self.launches.append(launch)
-        return self.running(self.agent, launch)
-
-    def sweep(self, run: str) -> None:
-        pass
-
-
-class Thread:
+class Thread(Running):
     """An agent that serves in a thread of the test."""
 
-    reason: str | None = None
-    lost: str | None = None
-    offence: str | None = None
-
     def __init__(self, agent: Any, launch: Launch) -> None:
-        self.log = launch.log
+        super().__init__()
         self._agent = agent
         self._launch = launch
         self._thread = threading.Thread(target=self._serve, daemon=True)
@@ -87,14 +63,24 @@ class Thread:
         self._thread.join(min(seconds, 0.05))
         return False
 
-    def stop(self) -> None:
-        pass
+
+class InThread(Starter):
+    """Starts an agent in a thread, which joins over its launch's socket; an agent of None never joins."""
+
+    def __init__(self, agent: Any, running: Callable[[Any, Launch], Running] = Thread) -> None:
+        self.agent = agent
+        self.running = running
+        self.launches: list[Launch] = []
+
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Running:
+        self.launches.append(launch)
+        return self.running(self.agent, launch)
 
 
 def competition(
     *entrants: str,
     steps: int = 40,
-    limits: TimeLimits | None = None,
+    limits: Limits = Limits(),  # noqa: B008
     trials: int = 1,
     env: str = "mines",
     max_steps: int = 0,
@@ -105,7 +91,7 @@ def competition(
         trials,
         (Task("walk", env, {"random_start": True} if env == "mines" else {}, 0, steps, max_steps),),
         tuple(Entrant(name, command=("nothing",)) for name in entrants),
-        Limits(time=limits or TimeLimits()),
+        limits,
     )
 
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.cli.compete import compete
-from experiment_runner.competition.file import load_competition, parse_competition
-from experiment_runner.competition.secret import trials
-from experiment_runner.competition.settings import Limits
+from experiment_runner.competition.settings import Limits, load_competition, parse_competition
+from experiment_runner.competition.trials import trials
 from glue.cli.keys import keys
 from tests.pages import DOCS, ROOT, Block, blocks, run_block
 
@@ -25,10 +24,7 @@ GROUPS = {"glue-compete": compete, "glue-keys": keys}
 def test_the_file_of_the_page_is_a_competition_with_the_limits_that_there_are_by_default() -> None:
     ((_, _, text),) = blocks(PAGE, "toml")
     competition = parse_competition(text, Path("spring.toml"))
-    assert set(tomllib.loads(text)["limits"]) == {
-        *(field for field in Limits.__dataclass_fields__ if field != "time"),
-        *competition.limits.time.__dataclass_fields__,
-    }
+    assert set(tomllib.loads(text)["limits"]) == set(Limits.__dataclass_fields__)
     assert competition.limits == Limits()
     assert [entrant.name for entrant in competition.entrants] == ["alice", "bob", "carol"]
 

@@ -17,13 +17,13 @@ import pytest
 
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
-from experiment_runner.competition.match import Forfeited, Match, play, starter_for
-from experiment_runner.competition.secret import trials
-from experiment_runner.competition.settings import Entrant, Gate
+from experiment_runner.competition.match import Forfeited, Match, play
+from experiment_runner.competition.settings import Entrant, Gate, Limits
+from experiment_runner.competition.starters import starter_for
+from experiment_runner.competition.trials import trials
 from glue.client.libzmq import new_pair
 from glue.client.players import serve_agent
 from glue.errors import GlueError
-from glue.hub.config import TimeLimits
 from glue.keys.certificates import write_pair
 from tests import forked
 from tests.experiment_runner.competition.players import SECRET, Walker, competition
@@ -95,7 +95,7 @@ def reports_of(folder: Path, program: Callable[[str, Path], object]) -> list[Any
     """Let a program join Carol's trial at an address of this machine; time is over when it has tried."""
     write_pair(folder / "keys", "hub", new_pair())
     write_pair(folder, "carol", new_pair())
-    held = competition("carol", limits=TimeLimits(start_seconds=1.0))
+    held = competition("carol", limits=Limits(start_seconds=1.0))
     entrant = Entrant("carol", key=folder / "carol.key")
     url = f"ipc://{folder}/gate"
     (spec,) = trials(held, SECRET)

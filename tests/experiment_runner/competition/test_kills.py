@@ -25,7 +25,7 @@ TRIALS, STEPS, EPISODES = size((1, 1000, 20), (2, 3000, 50))
 LONGEST_LIFE = 3.0
 """Seconds until a kill, at most; an organiser that is over by then has nothing to lose."""
 
-COMPETE = [sys.executable, "-m", "experiment_runner.cli.compete"]
+COMPETE = [sys.executable, "-m", "glue_rl", "compete"]
 
 FILE = f"""\
 name = "spring"

@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 
 from env_server.toys import MinesEnvironment
-from experiment_runner.competition.match import Forfeited, Played, starter_for
-from experiment_runner.competition.secret import agent_seed, draw, trials
-from experiment_runner.competition.settings import Entrant
+from experiment_runner.competition.match import Forfeited, Played
+from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starters import Launch, starter_for
+from experiment_runner.competition.trials import agent_seed, draw, trials
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from glue.engine.engine import role_seed
 from glue.errors import ConfigError, GlueError
-from glue.hub.config import TimeLimits
 from glue.trajectory import Ending, Episode, TrajectoryReader
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
@@ -95,7 +95,7 @@ class Thinker(Walker):
         return self.act()
 
 
-LIMITS = TimeLimits(step_seconds=1.0, bank_seconds=5.0, start_seconds=30.0, total_seconds=1000.0)
+LIMITS = Limits(step_seconds=1.0, bank_seconds=5.0, start_seconds=30.0, total_seconds=1000.0)
 
 
 def test_a_bank_that_is_drained_slowly_ends_the_task(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def test_what_an_agent_does_wrong_is_the_reason_in_one_line(agent: Walker, why: 
 
 def test_one_who_never_connects_forfeits(tmp_path: Path) -> None:
     ticks = itertools.count()
-    reports = reports_of(None, tmp_path, lambda: float(next(ticks)), limits=TimeLimits(start_seconds=5.0))
+    reports = reports_of(None, tmp_path, lambda: float(next(ticks)), limits=Limits(start_seconds=5.0))
     assert "did not connect within 5 s" in forfeit(reports)
     assert episodes(reports, tmp_path) == []
 
@@ -213,7 +213,7 @@ def test_actions_that_no_record_can_hold_are_the_entrants_fault(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr("glue.trajectory.limits.MAX_EPISODE", 2**24)
-    monkeypatch.setattr("experiment_runner.competition.inside.MAX_EPISODE", 2**24)
+    monkeypatch.setattr("experiment_runner.competition.environment.MAX_EPISODE", 2**24)
 
     class Verbose(Walker):
         def act(self) -> Action:
@@ -241,8 +241,9 @@ def test_an_offence_that_is_known_at_the_end_is_a_forfeit_too(tmp_path: Path) ->
 class Interrupted(Thread):
     """A program that is ended by whatever runs it."""
 
-    reason: str | None = "the container engine went away"
-    lost = reason
+    def __init__(self, agent: Any, launch: Launch) -> None:
+        super().__init__(agent, launch)
+        self.reason = self.lost = "the container engine went away"
 
     def wait(self, seconds: float) -> bool:
         return True

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.competition.match import Match, play, starter_for
-from experiment_runner.competition.outside import InFolder
-from experiment_runner.competition.secret import trials
+from experiment_runner.competition.match import Match, play
 from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starters import InFolder, starter_for
+from experiment_runner.competition.trials import trials
 from experiment_runner.executors.job import Ended
 from glue import serve_agent
 from glue.errors import ConfigError

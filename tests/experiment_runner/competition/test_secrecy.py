@@ -13,11 +13,11 @@ import pytest
 
 from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import Forfeited
-from experiment_runner.competition.secret import trials
-from experiment_runner.competition.starting import Launch, variables
+from experiment_runner.competition.settings import Limits
+from experiment_runner.competition.starters import Launch, variables
+from experiment_runner.competition.trials import trials
 from experiment_runner.executors.job import Ended
 from glue.engine.engine import role_seed
-from glue.hub.config import TimeLimits
 from glue.options import Option
 from glue.types import Action, Observation, Step
 from glue.wire.codec import FROM_HUB, TO_HUB, decode
@@ -142,7 +142,7 @@ def heard() -> Iterator[list[str]]:
 
 
 ENV = f"{__name__}:Listening"
-LIMITS = TimeLimits(start_seconds=10.0)
+LIMITS = Limits(start_seconds=10.0)
 
 
 def test_no_message_passes_between_an_entrant_and_its_environment(heard: list[str], tmp_path: Path) -> None:
@@ -169,22 +169,21 @@ def test_what_an_entrant_smuggles_in_does_not_reach_its_environment(
     assert not any(CANARY.encode() in frame for frame in agent.received)
 
 
-@pytest.mark.parametrize(("env", "action"), [(ENV, [1]), ("mario", [1, 0, 1])])
-def test_an_entrant_never_sees_a_seed(env: str, action: list[int], tmp_path: Path) -> None:
-    agent = RawAgent(Action(ints=action))
+def test_an_entrant_never_sees_a_seed(tmp_path: Path) -> None:
+    agent = RawAgent(Action(ints=[1]))
     starter = InThread(agent, Raw)
-    assert reports_of(starter, tmp_path, env=env, limits=LIMITS)[-1] == Ended(None)
+    assert reports_of(starter, tmp_path, env=ENV, limits=LIMITS)[-1] == Ended(None)
     (launch,) = starter.launches
     told = (str(launch.folder), *variables(launch.hub, launch.session).values())
     seen = b"\n".join([*agent.received, *map(str.encode, told)])
     assert Kind.AGENT_SEED in agent.kinds  # its own seed, which reveals nothing of these
-    for secret in secrets(env):
+    for secret in secrets():
         assert secret not in seen
 
 
-def secrets(env: str) -> Iterator[bytes]:
+def secrets() -> Iterator[bytes]:
     """Yield the secret, and the numbers drawn from it for the environment, in every usual form."""
-    (spec,) = trials(competition("alice", env=env), SECRET)
+    (spec,) = trials(competition("alice", env=ENV), SECRET)
     assert spec.environment is not None
     yield SECRET
     for number in (spec.seed, role_seed(spec.seed, Role.ENVIRONMENT), spec.environment.options["level_seed"]):

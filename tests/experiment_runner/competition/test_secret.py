@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.competition.secret import read_secret
+from experiment_runner.competition.trials import read_secret
 from tests.experiment_runner.competition.players import competition
 
 

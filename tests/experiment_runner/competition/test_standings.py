@@ -8,9 +8,9 @@ import pytest
 
 from experiment_runner.competition.board.standings import Standing, standings
 from experiment_runner.competition.course import course_of
-from experiment_runner.competition.file import parse_competition
 from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records import seal
+from experiment_runner.competition.settings import parse_competition
 from experiment_runner.store.layout import ABOUT_FILE
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from glue.errors import ExperimentError

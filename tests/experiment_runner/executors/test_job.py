@@ -15,22 +15,21 @@ from experiment_runner.executors.job import (
     Ended,
     Happened,
     Job,
+    Line,
     Lost,
     Playing,
     Recorded,
     Report,
-    Said,
+    Start,
     Voided,
     decode,
     decode_job,
     encode,
-    run_job,
     unpack,
     unpacker,
-    watched,
 )
-from experiment_runner.executors.trial import Start
-from experiment_runner.meeting.players import BOTH, Meeting
+from experiment_runner.executors.settings import BOTH, Placement, RunConfig
+from experiment_runner.executors.trial import run_job, watched
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
@@ -48,7 +47,7 @@ SENT: list[Report] = [
     Happened("lost", "why ☂"),
     Playing(9, 12),
     Playing(9, None),
-    Said("a line"),
+    Line("a line"),
     Ended(None),
     Ended("a mistake"),
     Lost("killed"),
@@ -66,7 +65,8 @@ def test_reports_arrive_as_they_were_sent_however_the_stream_is_cut() -> None:
 def test_job_arrives_as_it_was_sent() -> None:
     agent = RoleSpec("sarsa", {"step_size": 0.1, "episodes": 2**63 - 1, "greedy": True, "file": "ä"}, "mine")
     spec = TrialSpec(TrialId("mine/mines/0"), agent, RoleSpec("mines"), 12, 30, 2**63 - 1)
-    job = Job(spec, Meeting(BOTH, any_reward=True), Start(5, Checkpoint(b"a", b"e")), 4, ("values", ""))
+    config = RunConfig(Placement(BOTH, any_reward=True), 4, questions=("values", ""))
+    job = Job(spec, config, Start(5, Checkpoint(b"a", b"e")))
     assert list(map(decode_job, unpack(encode(job)))) == [job]
 
 
@@ -104,7 +104,7 @@ def test_whatever_a_player_raises_ends_its_trial_with_a_text_that_can_be_stored(
     reports: list[Report] = []
     agent = RoleSpec(f"{__file__}:Failing", {"how": failure})
     spec = TrialSpec(TrialId("a/b/0"), agent, RoleSpec("mines"), 1, 30, 0)
-    run_job(Job(spec, Meeting(frozenset(inside))), reports.append)
+    run_job(Job(spec, RunConfig(Placement(frozenset(inside)))), reports.append)
     ended = reports[-1]
     assert isinstance(ended, Ended)
     assert re.search(FAILURES[failure][1], ended.failure or ""), ended.failure

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.executors.metering import Meter, play_metered
+from experiment_runner.executors.job import Start
+from experiment_runner.executors.metering import Meter
 from experiment_runner.executors.recording import Recorder
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import TrialSpec
-from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult, Reading
+from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult, Reading
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment
 from glue.errors import ExperimentError
@@ -59,7 +60,7 @@ class StepByStep(LocalExperiment):
 
 
 def readings(
-    glue: Experiment, play: Play, max_steps: int, plan: MetricsPlan
+    glue: Experiment, play: Play | None, max_steps: int, plan: MetricsPlan
 ) -> tuple[list[Reading], list[EpisodeResult]]:
     meter = Meter(glue, plan)
     found: list[Reading] = []
@@ -67,7 +68,7 @@ def readings(
     glue.rl_init(1)
     for number in range(1, len(LENGTHS) + 1):
         meter.begin()
-        terminal = play(glue, max_steps, meter)
+        terminal = meter.rl_episode(max_steps) if play is None else play(glue, max_steps, meter)
         results.append(EpisodeResult(number, glue.rl_return(), glue.rl_num_steps(), terminal, 0.0))
         found += meter.end(results[-1])
     return found, results
@@ -87,9 +88,9 @@ def test_readings_are_due_at_the_same_steps_however_an_episode_is_run(
             recorder.begin("", goes_on=False)
             return recorder.rl_episode(limit, meter)
 
-        plays: Sequence[tuple[type[LocalExperiment], Play]] = (
-            (LocalExperiment, play_metered),
-            (StepByStep, play_metered),
+        plays: Sequence[tuple[type[LocalExperiment], Play | None]] = (
+            (LocalExperiment, None),
+            (StepByStep, None),
             (LocalExperiment, record),
         )
         found = [
@@ -112,7 +113,9 @@ def test_means_go_on_from_what_was_saved_within_a_group() -> None:
         glue.rl_episode()
         calls.append(glue.rl_agent_metrics()["calls"])
         result = EpisodeResult(number, 1.0, 1, True, 0.0)
-        resumed = Meter(glue, plan, number - 1, number - 1.0, saved)
+        resumed = Meter(
+            glue, plan, Start(number - 1, Checkpoint(b"", metrics=saved), number - 1, number - 1.0)
+        )
         found = []
         for meter in (whole, resumed):
             meter.begin()
@@ -134,7 +137,7 @@ def test_means_forget_an_attempt_that_became_void() -> None:
         for step in range(1, steps + 1):
             glue.rl_go_on(step + 1)
             calls.append(glue.rl_agent_metrics()["calls"])
-            meter.read(step)
+            meter.after(step)
         if steps == 1:  # the second episode of the environment ends at once
             glue.rl_episode()
     _, second, _ = meter.end(EpisodeResult(1, 0.0, 3, False, 0.0))
@@ -142,5 +145,6 @@ def test_means_forget_an_attempt_that_became_void() -> None:
 
 
 def test_what_was_saved_of_metrics_may_be_damaged() -> None:
+    glue = LocalExperiment(Counting(), Varying(False))
     with pytest.raises(ExperimentError, match="the metrics of a checkpoint are damaged"):
-        Meter(LocalExperiment(Counting(), Varying(False)), MetricsPlan(0), 0, 0.0, b"damaged")
+        Meter(glue, MetricsPlan(0), Start(0, Checkpoint(b"", metrics=b"damaged")))

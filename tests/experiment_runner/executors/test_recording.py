@@ -17,10 +17,10 @@ from agents.tabular import SarsaAgent
 from env_server.replay.episodes import build_environment, open_recording, replayed_moments
 from env_server.toys import MinesEnvironment
 from experiment_runner.cli.experiment import experiment
-from experiment_runner.executors.job import Ended, Job, Report, run_job
-from experiment_runner.executors.recording import Recorder, recorded
-from experiment_runner.executors.trial import BEGINNING, Start, run_trial
-from experiment_runner.meeting.players import BOTH, Meeting
+from experiment_runner.executors.job import BEGINNING, Ended, Job, Report, Start
+from experiment_runner.executors.recording import recorded
+from experiment_runner.executors.settings import BOTH, Placement, RunConfig
+from experiment_runner.executors.trial import run_job
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
@@ -30,11 +30,9 @@ from glue.errors import ConfigError, PeerLost
 from glue.roles import Agent, Environment
 from glue.trajectory import Ending, Episode, TrajectoryError, TrajectoryReader
 from glue.wire.messages import Kind
-from tests.experiment_runner.executors.test_trial import Forgetful, Kept, mines
+from tests.experiment_runner.executors.test_trial import Forgetful, Kept, mines, play
 from tests.system.runs import contents, start, wait_until
 
-MINES: Final = RoleSpec("mines", {"random_start": True})
-SPEC: Final = TrialSpec(TrialId("sarsa/mines/0"), RoleSpec("sarsa"), MINES, episodes=25, max_steps=40, seed=5)
 PLAYERS: Final = {  # environment, agent, step limit that cuts off some episodes
     "mines": ("sarsa", 30),
     "skeleton": ("skeleton", 80),
@@ -102,7 +100,7 @@ def test_step_limits_are_those_of_an_episode(max_steps: int) -> None:
 
 
 def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> None:
-    module = [sys.executable, "-m", "env_server.cli.environment"]
+    module = [sys.executable, "-m", "glue_rl", "environment"]
     with subprocess.Popen(
         [*module, "mines", "--random-start", "--hub", "ipc://meeting", "--quiet"]
     ) as environment:
@@ -152,15 +150,9 @@ def played(kept: Kept) -> list[tuple[float, int, bool]]:
     return [(result.episode_return, result.steps, result.terminal) for result in kept.results]
 
 
-def run_recorded(
-    path: str, glue: Experiment, start: Start = BEGINNING, every: int = 10, spec: TrialSpec = SPEC
-) -> Kept:
-    kept = Kept()
-    with recorded(Path(path)) as writer:
-        assert writer is not None
-        recorder = Recorder(writer, spec, glue)
-        run_trial(glue, spec, kept, start=start, checkpoint_every=every, recorder=recorder)
-    return kept
+def run_recorded(path: str, glue: Experiment, start: Start = BEGINNING) -> Kept:
+    with recorded(Path(path)) as recording:
+        return play(glue, 10, start=start, recording=recording)
 
 
 def contents_of(found: list[Episode]) -> list[tuple[Any, ...]]:
@@ -302,7 +294,7 @@ def test_full_disk_fails_the_trial_in_one_line_and_leaves_what_was_stored(
     resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, hard))
     try:
         with recorded(Path("run.traj")) as recording:
-            run_job(Job(spec, Meeting(inside=BOTH)), reports.append, recording=recording)
+            run_job(Job(spec, RunConfig(Placement(BOTH))), reports.append, recording=recording)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert reports[-1] == Ended("cannot write run.traj: File too large")

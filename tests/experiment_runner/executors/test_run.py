@@ -11,14 +11,13 @@ import pytest
 
 from experiment_runner.analysis.settings import collect
 from experiment_runner.cli.carrying_out import resume_command
-from experiment_runner.executors.dispatch import Dispatcher
+from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.job import Job, Joined, Lost, Recorded, Report, Said, run_job
-from experiment_runner.executors.resume import OtherRun, create_run, open_run, remaining
-from experiment_runner.executors.run import RunConfig, run_trials
-from experiment_runner.executors.trial import Start
-from experiment_runner.executors.trials import Trials
-from experiment_runner.meeting.players import BOTH, HubOptions, Meeting
+from experiment_runner.executors.job import Job, Joined, Line, Lost, Recorded, Report
+from experiment_runner.executors.opening import OtherRun, open_run, remaining
+from experiment_runner.executors.run import RunCollector, run_trials
+from experiment_runner.executors.settings import BOTH, HubOptions, Placement, RunConfig
+from experiment_runner.executors.trial import run_job
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.report.progress import Progress
@@ -38,7 +37,8 @@ PLAN = Plan(
 )
 STEPS = replace(PLAN, episodes=0, steps=333)
 FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
-HERE = Meeting(inside=BOTH)
+HERE = Placement(BOTH)
+CONFIG = RunConfig(HERE, checkpoint_every=5)
 
 
 class Silent(Progress):
@@ -97,16 +97,13 @@ class Unreliable:
     def __exit__(self, *_: object) -> None: ...
 
 
-def trials_of(store: Store, reporter: Silent | None = None) -> Trials:
-    def make_job(spec: TrialSpec, start: Start) -> Job:
-        return Job(spec, HERE, start, checkpoint_every=5)
-
-    return Trials(store, reporter or Silent(), make_job)
+def collector(store: Store, reporter: Silent | None = None, config: RunConfig = CONFIG) -> RunCollector:
+    return RunCollector(store, config, reporter or Silent())
 
 
 def play(directory: Path, plan: Plan) -> Path:
-    with create_run(directory, plan) as store:
-        assert run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent()) == 0
+    with open_run(directory, plan) as store:
+        assert run_trials(store, CONFIG, Silent()) == 0
     return directory
 
 
@@ -120,8 +117,8 @@ def budgeted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return play(tmp_path_factory.mktemp("budgeted") / "run", STEPS)
 
 
-def hand_out(store: Store, pool: Unreliable) -> None:
-    Dispatcher[Job, Report](pool, trials_of(store), Interrupts()).run(
+def hand_out(store: Store, pool: Unreliable, config: RunConfig = CONFIG) -> None:
+    Dispatcher[Job, Report](pool, collector(store, config=config), Interrupts()).run(
         trial.trial_id for trial in remaining(store)
     )
 
@@ -138,7 +135,7 @@ def test_lost_trials_end_as_undisturbed_ones(
     plan: Plan, size: int, whole: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     pool = Unreliable(size, losses())
-    with create_run(tmp_path / "run", plan) as store:
+    with open_run(tmp_path / "run", plan) as store:
         hand_out(store, pool)
         lost = [event.trial_id for event in store.events() if event.kind == "lost"]
     assert contents(tmp_path / "run") == contents(request.getfixturevalue(whole))
@@ -150,17 +147,17 @@ def test_players_from_outside_are_shown_by_their_names(tmp_path: Path) -> None:
     plan = replace(PLAN, agents=())
     first, second, *_ = (spec.id for spec in plan.expand())
     shown = Silent()
-    with create_run(tmp_path / "run", plan) as store:
-        run = trials_of(store, shown)
+    with open_run(tmp_path / "run", plan) as store:
+        run = collector(store, shown)
         run.take(first, Joined("agent", "Jumper", "Python 3.11.7"))
-        run.take(first, Said("hello"))
-        run.take(second, Said("hello"))
+        run.take(first, Line("hello"))
+        run.take(second, Line("hello"))
     assert shown.names == {first: first.replace("remote", "Jumper")}
     assert shown.said[1:] == [f"{shown.names[first]}: hello", f"{second}: hello"]
 
 
 def test_trial_that_gets_no_further_is_given_up(undisturbed: Path, tmp_path: Path) -> None:
-    with create_run(tmp_path / "run", PLAN) as store:
+    with open_run(tmp_path / "run", PLAN) as store:
         hand_out(store, Unreliable(2, {SECOND: [3, 2, 1, 12]}))
         assert [trial.failure for trial in store.trials()] == [
             None,
@@ -183,10 +180,10 @@ def test_an_interrupted_run_says_how_to_continue_as_it_was_begun(tmp_path: Path)
         legacy=(LegacyPort(4096, "a"),),
         keys=tmp_path / "keys",
     )
-    meeting = Meeting(inside=BOTH, hub=hub, any_reward=True)
-    config = RunConfig(meeting, questions=("values",))
+    placement = Placement(inside=BOTH, hub=hub, any_reward=True)
+    config = RunConfig(placement, questions=("values",))
     reporter = Silent(interrupt_after=3)
-    with create_run(tmp_path / "run", plan) as store:
+    with open_run(tmp_path / "run", plan) as store:
         command = resume_command(store, config)
         with pytest.raises(KeyboardInterrupt):
             run_trials(store, config, reporter, again=command)
@@ -206,12 +203,12 @@ def test_episodes_are_stored_together_before_anybody_hears_of_them(tmp_path: Pat
         def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
             heard.append(len(store.episodes(spec.id)))
 
-    with create_run(tmp_path / "run", PLAN) as store:
-        listened_to = trials_of(store, Listening())
+    with open_run(tmp_path / "run", PLAN) as store:
+        listened_to = collector(store, Listening())
         for episode in (1, 2):
             listened_to.take(FIRST, Recorded(EpisodeResult(episode, 1.0, 2, True, 0.5), None))
         assert heard == []
-        watcher = threading.Thread(target=listened_to.take, args=(FIRST, Said("a player is restarted")))
+        watcher = threading.Thread(target=listened_to.take, args=(FIRST, Line("a player is restarted")))
         watcher.start()
         watcher.join()  # it must not touch the store, which belongs to this thread
         assert heard == []
@@ -246,7 +243,7 @@ def test_a_budget_of_steps_cuts_off_the_last_episode(budgeted: Path, tmp_path: P
 def test_a_larger_budget_extends_a_run_to_the_same_results(budgeted: Path, tmp_path: Path) -> None:
     play(tmp_path / "run", replace(STEPS, steps=150))
     with open_run(tmp_path / "run", STEPS) as store:
-        assert run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent()) == 0
+        assert run_trials(store, CONFIG, Silent()) == 0
     assert contents(tmp_path / "run") == contents(budgeted)
 
 
@@ -265,15 +262,9 @@ def test_metrics_of_lost_trials_are_those_of_undisturbed_ones(
     plan = replace(PLAN, metrics=MetricsPlan(every, KEPT))
     found = []
     for name, lost in (("undisturbed", {}), ("lost", losses())):
-        with create_run(tmp_path / name, plan) as store:
-
-            def make_job(spec: TrialSpec, start: Start) -> Job:
-                return Job(spec, HERE, start, checkpoint_every, metrics=plan.metrics)
-
-            trials = Trials(store, Silent(), make_job)
-            Dispatcher[Job, Report](Unreliable(2, lost), trials, Interrupts()).run(
-                trial.trial_id for trial in remaining(store)
-            )
+        with open_run(tmp_path / name, plan) as store:
+            config = RunConfig(HERE, checkpoint_every, metrics=plan.metrics)
+            hand_out(store, Unreliable(2, lost), config)
             found.append([[[*map(str, row)] for row in rows] for rows in metric_table(store).rows])
             readings = (
                 sum(trial.done for trial in store.trials())
@@ -289,7 +280,7 @@ def test_metrics_of_lost_trials_are_those_of_undisturbed_ones(
 
 def test_the_total_reward_is_the_sum_of_the_returns(tmp_path: Path) -> None:
     plan = replace(STEPS, metrics=MetricsPlan(1))
-    with create_run(tmp_path / "run", plan) as store:
+    with open_run(tmp_path / "run", plan) as store:
         run_trials(store, RunConfig(HERE, metrics=plan.metrics), Silent())
         _, steps, totals = store.metrics(FIRST)[TOTAL_REWARD]
         returns = store.returns(FIRST)

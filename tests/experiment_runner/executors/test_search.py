@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.stats import interquartile_mean
-from experiment_runner.executors.run import RunConfig
 from experiment_runner.executors.samplers import Configuration, Score, sampler_of
 from experiment_runner.executors.search import RESULT, SEARCH, tune
-from experiment_runner.meeting.players import BOTH, Meeting
+from experiment_runner.executors.settings import BOTH, Placement, RunConfig
 from experiment_runner.plan.file import dump_plan, parse_plan
 from experiment_runner.plan.plan import Plan
 from experiment_runner.plan.tuning import Range, Space, TunePlan
@@ -44,7 +43,7 @@ learning = true
 
 [agents.random]
 """)
-CONFIG = RunConfig(Meeting(inside=BOTH), checkpoint_every=3)
+CONFIG = RunConfig(Placement(inside=BOTH), checkpoint_every=3)
 
 
 def searching(**changes: object) -> Plan:
@@ -72,7 +71,7 @@ def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
     ("line", "near"),
     [
         ('sampler = "randon"', "random"),
-        ("sampler = 3", "there is no sampler 3"),
+        ("sampler = 3", "sampler must be a string, not 3"),
         ("trials = 0x" + 5000 * "f", "trials .* not a number of thousands of digits"),
         ("trails = 3", "trials"),
         ("trials = 0", "trials"),
@@ -134,7 +133,7 @@ def test_an_interrupted_search_comes_to_the_same_choice(
 
 def test_a_search_over_few_values_runs_each_once(tmp_path: Path) -> None:
     few = {"sarsa": {"epsilon": (0.05, 0.1)}}
-    plan = searching(sampler="optuna", configurations=6, prune=True, trials=1, final=1, space=few)
+    plan = searching(sampler="optuna", configurations=6, prune=True, trials=1, final=1, agents=few)
     result, failed = tune(tmp_path, plan, CONFIG, Silent())
     assert not failed
     with Results.open(tmp_path / SEARCH) as search, Results.open(result) as results:
@@ -177,7 +176,7 @@ def test_values_are_within_their_ranges(sampler: str) -> None:
         "size": Range(1, 64, log=True, integer=True),
         "kind": ("a", "b"),
     }
-    search = TunePlan({"agent": space}, sampler, configurations=60)
+    search = replace(TunePlan({"agent": space}, configurations=60), sampler=sampler)  # type: ignore[arg-type]
     asking = sampler_of(search, space, seed=3)
     found: list[Configuration] = []
     while len(found) < 40 and (batch := asking.ask(60 - len(found))):

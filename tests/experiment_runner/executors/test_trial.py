@@ -5,6 +5,7 @@ import signal
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import pytest
@@ -13,23 +14,36 @@ from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.trial import Start, run_trial
+from experiment_runner.executors.job import (
+    BEGINNING,
+    Happened,
+    Job,
+    Line,
+    Recorded,
+    Report,
+    Start,
+    Voided,
+)
+from experiment_runner.executors.settings import Placement, RunConfig
+from experiment_runner.executors.trial import run_trial
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.metrics import MetricsPlan
-from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment, local
 from glue.errors import GlueError, PeerLost
 from glue.roles import Agent, Environment
+from glue.trajectory import TrajectoryWriter
 from glue.types import Action, Step
 from glue.wire.messages import Kind
 
-SPEC = TrialSpec(TrialId("sarsa/mines/0"), None, None, episodes=25, max_steps=40, seed=5)
+MINES = RoleSpec("mines", {"random_start": True})
+SPEC = TrialSpec(TrialId("sarsa/mines/0"), RoleSpec("sarsa"), MINES, episodes=25, max_steps=40, seed=5)
 
 
 class Kept:
-    """Keeps everything it is given."""
+    """Keeps every report."""
 
     def __init__(self) -> None:
         self.results: list[EpisodeResult] = []
@@ -39,31 +53,42 @@ class Kept:
         self.events: list[str] = []
         self.said: list[str] = []
 
-    def record(
-        self,
-        result: EpisodeResult,
-        checkpoint: Checkpoint | None,
-        answers: tuple[Answer, ...],
-        metrics: object,
-    ) -> None:
-        assert not self.results or result.episode == self.results[-1].episode + 1
-        self.results.append(result)
-        self.answers.append(answers)
-        if checkpoint is not None:
-            self.checkpoints[result.episode] = checkpoint
-
-    def void(self, episode: int, why: str) -> None:
-        self.voids.append(episode)
-
-    def event(self, kind: str, text: str) -> None:
-        self.events.append(kind)
-
-    def say(self, line: str) -> None:
-        self.said.append(line)
+    def __call__(self, report: Report) -> None:
+        match report:
+            case Recorded(result, checkpoint, answers):
+                assert not self.results or result.episode == self.results[-1].episode + 1
+                self.results.append(result)
+                self.answers.append(answers)
+                if checkpoint is not None:
+                    self.checkpoints[result.episode] = checkpoint
+            case Voided(episode):
+                self.voids.append(episode)
+            case Happened(kind):
+                self.events.append(kind)
+            case Line(line):
+                self.said.append(line)
 
     @property
     def numbers(self) -> list[tuple[float, ...]]:
         return [result[:4] for result in self.results]
+
+
+def play(
+    glue: Experiment,
+    every: int = 0,
+    *,
+    spec: TrialSpec = SPEC,
+    start: Start = BEGINNING,
+    kept: Kept | None = None,
+    interrupts: Interrupts | None = None,
+    recording: TrajectoryWriter | None = None,
+    **settings: Any,
+) -> Kept:
+    """Play a trial with a checkpoint every so many episodes; return its reports, with those of `kept`."""
+    kept = Kept() if kept is None else kept
+    job = Job(spec, RunConfig(checkpoint_every=every, **settings), start)
+    run_trial(glue, job, kept, interrupts=interrupts, recording=recording)
+    return kept
 
 
 class Lossy(Experiment):
@@ -95,10 +120,9 @@ def mines() -> Environment:
     return MinesEnvironment(random_start=True)
 
 
+@cache
 def undisturbed(every: int = 0) -> Kept:
-    kept = Kept()
-    run_trial(local(SarsaAgent(), mines()), SPEC, kept, checkpoint_every=every)
-    return kept
+    return play(local(SarsaAgent(), mines()), every)
 
 
 def test_every_episode_is_recorded_with_the_checkpoints_that_are_due() -> None:
@@ -114,11 +138,8 @@ def test_every_episode_is_recorded_with_the_checkpoints_that_are_due() -> None:
 @pytest.mark.parametrize("after", [10, 20])
 def test_trial_goes_on_from_a_checkpoint_as_if_never_interrupted(after: int) -> None:
     whole = undisturbed(every=10)
-    kept = Kept()
-    kept.results = whole.results[:after]
-    start = Start(after, whole.checkpoints[after])
-    run_trial(local(SarsaAgent(), mines()), SPEC, kept, start=start, checkpoint_every=10)
-    assert kept.numbers == whole.numbers
+    kept = play(local(SarsaAgent(), mines()), 10, start=Start(after, whole.checkpoints[after]))
+    assert kept.numbers == whole.numbers[after:]
     assert kept.checkpoints[25] == whole.checkpoints[25]
 
 
@@ -138,8 +159,7 @@ def test_trial_goes_on_from_a_checkpoint_as_if_never_interrupted(after: int) -> 
 def test_loss_of_players_that_can_save_leaves_no_trace_in_the_results(
     losses: dict[Kind, set[int]], voids: list[int]
 ) -> None:
-    whole, kept = undisturbed(every=10), Kept()
-    run_trial(Lossy(losses, SarsaAgent), SPEC, kept, checkpoint_every=10)
+    whole, kept = undisturbed(every=10), play(Lossy(losses, SarsaAgent), 10)
     assert kept.numbers == whole.numbers
     assert kept.checkpoints[25] == whole.checkpoints[25]
     assert kept.voids == voids
@@ -153,8 +173,7 @@ class Forgetful(RandomAgent):
 
 
 def test_player_that_cannot_save_is_replaced_and_the_trial_goes_on() -> None:
-    kept = Kept()
-    run_trial(Lossy({Kind.RL_EPISODE: {4}}, Forgetful), SPEC, kept, checkpoint_every=10)
+    kept = play(Lossy({Kind.RL_EPISODE: {4}}, Forgetful), 10)
     assert len(kept.results) == SPEC.episodes
     assert kept.voids == [4]
     assert kept.events == ["replaced", "unsaved"]
@@ -162,16 +181,14 @@ def test_player_that_cannot_save_is_replaced_and_the_trial_goes_on() -> None:
 
 
 def test_an_agent_without_metrics_is_named_once() -> None:
-    kept = Kept()
-    run_trial(local(RandomAgent(), mines()), SPEC, kept, checkpoint_every=10, metrics=MetricsPlan(7))
+    kept = play(local(RandomAgent(), mines()), 10, metrics=MetricsPlan(7))
     assert len(kept.results) == SPEC.episodes
     assert kept.events == ["unmetered"]
 
 
 def test_episode_that_cannot_be_repeated_is_noted() -> None:
     seeds = iter(range(100))
-    kept = Kept()
-    run_trial(Lossy({Kind.RL_EPISODE: {6}}, lambda: RandomAgent(seed=next(seeds))), SPEC, kept)
+    kept = play(Lossy({Kind.RL_EPISODE: {6}}, lambda: RandomAgent(seed=next(seeds))))
     assert len(kept.results) == SPEC.episodes
     assert "differs" in kept.events
 
@@ -195,15 +212,13 @@ class Untidy(SarsaAgent):
     ids=["error", "exit", "loss"],
 )
 def test_cleanup_that_fails_takes_nothing_from_a_finished_trial(glue: Callable[[], Experiment]) -> None:
-    kept = Kept()
-    run_trial(glue(), SPEC, kept)
+    kept = play(glue())
     assert kept.numbers == undisturbed().numbers
     assert kept.events == ["cleanup"]
 
 
 def test_what_is_repeated_after_a_loss_is_said() -> None:
-    kept = Kept()
-    run_trial(Lossy({Kind.RL_EPISODE: {14}}, SarsaAgent), SPEC, kept, checkpoint_every=10)
+    kept = play(Lossy({Kind.RL_EPISODE: {14}}, SarsaAgent), 10)
     assert len(kept.said) == 1
     assert "3 episodes" in kept.said[0]
     assert "episode 10" in kept.said[0]
@@ -221,10 +236,10 @@ def test_interrupted_episode_ends_and_is_stored_with_a_checkpoint() -> None:
 
     kept, whole = Kept(), undisturbed()
     with pytest.raises(KeyboardInterrupt), Interrupts(grace=60) as interrupts:
-        run_trial(local(Interrupting(), mines()), SPEC, kept, checkpoint_every=100, interrupts=interrupts)
+        play(local(Interrupting(), mines()), 100, kept=kept, interrupts=interrupts)
     assert kept.numbers == whole.numbers[:7]
     assert list(kept.checkpoints) == [7]
-    run_trial(local(SarsaAgent(), mines()), SPEC, kept, start=Start(7, kept.checkpoints[7]))
+    play(local(SarsaAgent(), mines()), kept=kept, start=Start(7, kept.checkpoints[7]))
     assert kept.numbers == whole.numbers
 
 
@@ -240,15 +255,14 @@ def test_episode_that_does_not_end_is_interrupted(again: bool) -> None:
     kept = Kept()
     grace = 60 if again else 0.01
     with pytest.raises(KeyboardInterrupt), Interrupts(grace) as interrupts:
-        run_trial(local(Endless(), mines()), SPEC, kept, interrupts=interrupts)
+        play(local(Endless(), mines()), kept=kept, interrupts=interrupts)
     assert not kept.results
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_two_episodes_of_players_that_cannot_save_end_in_silence() -> None:
     """Before the first checkpoint is due, no checkpoint is missing."""
-    kept = Kept()
-    run_trial(local(Forgetful(), mines()), replace(SPEC, episodes=2), kept, checkpoint_every=100)
+    kept = play(local(Forgetful(), mines()), 100, spec=replace(SPEC, episodes=2))
     assert (len(kept.numbers), kept.events, kept.said) == (2, [], [])
 
 
@@ -261,9 +275,7 @@ def test_return_that_is_not_finite_ends_the_trial(reward: float) -> None:
             _, observation, terminal, *_ = super().env_step(action)
             return Step(reward, observation, terminal)
 
-    kept = Kept()
     with pytest.raises(GlueError, match=f"episode 1 is {reward}"):
-        run_trial(local(RandomAgent(), Odd()), SPEC, kept)
-    assert kept.numbers == []
-    run_trial(local(RandomAgent(), Odd()), replace(SPEC, episodes=1), kept, any_reward=True)
-    assert len(kept.numbers) == 1
+        play(local(RandomAgent(), Odd()))
+    one = replace(SPEC, episodes=1)
+    assert len(play(local(RandomAgent(), Odd()), spec=one, placement=Placement(any_reward=True)).numbers) == 1

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.settings import collect
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.markup import LATEX, MARKDOWN, paper_table
 from experiment_runner.report.overview import as_text
@@ -26,7 +26,7 @@ FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Store]:
-    with create_run(tmp_path / "run", PLAN) as store:
+    with open_run(tmp_path / "run", PLAN) as store:
         yield store
 
 
@@ -119,7 +119,7 @@ def test_paper_table_has_agents_in_rows_and_environments_in_columns(tmp_path: Pa
         environments=(RoleSweep("mines"), RoleSweep("a_b")),
         agents=(RoleSweep("sarsa", {"epsilon": (0.1, 0.2)}),),
     )
-    with create_run(tmp_path / "run", plan) as store:
+    with open_run(tmp_path / "run", plan) as store:
         for number, spec in enumerate(plan.expand()):
             record(store, spec.id, -float(number), -float(number))
         settings = collect([store])
@@ -187,7 +187,7 @@ def test_memory_does_not_grow_with_the_episodes(store: Store) -> None:
 
 def test_no_word_of_a_run_is_broken_on_a_narrow_terminal(tmp_path: Path) -> None:
     why = "no hub has answered at tcp://127.0.0.1:4097 for 10 s: start one, or check the address"
-    with create_run(tmp_path / "run", PLAN) as store:
+    with open_run(tmp_path / "run", PLAN) as store:
         store.record_failure(FIRST, why)
         texts = [(as_text([store]), as_text([store], 30)), (tabulate(store, 1), tabulate(store, 1, 30))]
     for wide, narrow in texts:

@@ -11,14 +11,13 @@ from click.testing import CliRunner
 
 from agents.baselines import RandomAgent
 from experiment_runner.cli.experiment import experiment
-from experiment_runner.executors.trial import run_trial
 from experiment_runner.store.merge import merge
 from experiment_runner.store.records import MAX_ANSWER, Answer, Answered
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.trajectory import TrajectoryReader
 from glue.wire.messages import Kind
-from tests.experiment_runner.executors.test_trial import SPEC, Kept, Lossy
+from tests.experiment_runner.executors.test_trial import SPEC, Lossy, play
 from tests.system.runs import contents
 
 
@@ -90,9 +89,8 @@ class Wordy(RandomAgent):
 
 
 def test_an_agent_that_is_lost_when_it_is_asked_plays_the_episode_again() -> None:
-    kept = Kept()
-    spec = replace(SPEC, episodes=2)
-    run_trial(Lossy({Kind.RL_AGENT_MESSAGE: {2}}, Wordy), spec, kept, questions=["ab"])
+    lossy = Lossy({Kind.RL_AGENT_MESSAGE: {2}}, Wordy)
+    kept = play(lossy, spec=replace(SPEC, episodes=2), questions=("ab",))
     answer = Answer("ab", ("?" + "ab" * MAX_ANSWER)[:MAX_ANSWER])
     assert kept.answers == [(answer,), (answer,)]
     assert kept.voids == [2]

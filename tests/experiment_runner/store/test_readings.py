@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiment_runner.executors.job import Start
 from experiment_runner.executors.metering import Meter
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep
@@ -129,7 +130,7 @@ def test_metrics_of_version_6_are_read_and_averaged_on(tmp_path: Path) -> None:
         assert kept is not None
         # The group's two values before the checkpoint, for a trial that continues from it.
         plan = MetricsPlan(0, {"error": Keep(3, averaged=True)})
-        meter = Meter(local(Measured(), ScriptedEnvironment()), plan, 8, 2.0, kept[1].metrics)
+        meter = Meter(local(Measured(), ScriptedEnvironment()), plan, Start(*kept, 8, 2.0))
         meter.begin()
         assert meter.end(EpisodeResult(3, 1.0, 4, True, 0.1)) == (Reading(12, {"error": 2.5}),)
         assert store.checkpoint("two") == (1, Checkpoint(b"\0", b"\1"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import glue
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.run_data import StoredRun, load_run
@@ -24,7 +24,7 @@ RANDOM, WHOLE, HALF = PLAN.expand()
 
 @pytest.fixture
 def run(tmp_path: Path) -> StoredRun:
-    with create_run(tmp_path / "run", PLAN) as store:
+    with open_run(tmp_path / "run", PLAN) as store:
         store.record(RANDOM.id, EpisodeResult(1, math.nan, 7, True, 0.25))
         store.record(RANDOM.id, EpisodeResult(2, -1.5, 8, False, 0.5))
         store.record(HALF.id, EpisodeResult(1, math.inf, 9, True, 0.125))
@@ -79,7 +79,7 @@ def test_without_the_library_it_says_what_to_install(
 
 
 def test_run_without_episodes_has_empty_columns(tmp_path: Path) -> None:
-    create_run(tmp_path / "run", PLAN).close()
+    open_run(tmp_path / "run", PLAN).close()
     run = load_run(tmp_path / "run")
     assert {array.shape for array in run.values()} == {(0,)}
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_object, as_text, overview
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
@@ -36,7 +36,7 @@ MUTATIONS = size(40, 1000)
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    with create_run(tmp_path / "run", PLAN, clock=lambda: 1e9) as store:
+    with open_run(tmp_path / "run", PLAN, clock=lambda: 1e9) as store:
         for spec in PLAN.expand():
             for episode in range(1, 21):
                 store.record(spec.id, EpisodeResult(episode, 1.5, 9, True, 0.1), Checkpoint(b"saved"))

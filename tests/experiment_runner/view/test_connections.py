@@ -13,8 +13,8 @@ import pytest
 import uvicorn
 
 from experiment_runner.view.app import page
-from experiment_runner.view.connections import Connection
 from experiment_runner.view.guard import Address
+from experiment_runner.view.server import Connection
 from experiment_runner.view.stream import Pulse
 from tests.experiment_runner.view.pages import glue_view
 

@@ -13,7 +13,7 @@ import pytest
 from experiment_runner.analysis.curves import of_metric, over_episodes
 from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import bootstrap_rng, estimate, mean, running_mean
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, TrialSpec
 from experiment_runner.report.overview import as_object
@@ -23,7 +23,7 @@ from experiment_runner.store.records import MEASURES, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from experiment_runner.view.catalog import address_of, run_id
-from experiment_runner.view.curves import Look, Wanted, curves, drawn
+from experiment_runner.view.curves import Look, Wanted, _as_json, curves, drawn
 from tests.experiment_runner.view.pages import Inside
 from tests.system.runs import run as execute
 
@@ -94,7 +94,7 @@ def test_a_curve_is_that_of_glue_plot(shown: tuple[Inside, Path, str]) -> None:
 def test_each_environment_has_a_drawing_and_an_agent_one_look(tmp_path: Path) -> None:
     agents, environments = (tuple(RoleSweep(name) for name in names) for names in ("ab", "xy"))
     plan = Plan(episodes=20, environments=environments, agents=agents)
-    with create_run(tmp_path / "run", plan) as store:
+    with open_run(tmp_path / "run", plan) as store:
         for spec in plan.expand():
             for episode in range(1, 21):
                 store.record(spec.id, EpisodeResult(episode, 1.0 * episode, 1, True, 0.0))
@@ -109,7 +109,7 @@ def test_each_environment_has_a_drawing_and_an_agent_one_look(tmp_path: Path) ->
 
 
 def test_the_page_begins_with_the_run_or_the_standings_that_it_is_asked_for(tmp_path: Path) -> None:
-    with create_run(tmp_path / "run", Plan(episodes=1)) as store:
+    with open_run(tmp_path / "run", Plan(episodes=1)) as store:
         assert address_of([tmp_path / "run"]) == f"#/run/{run_id(store.directory)}"
         (store.directory / COMPETITION_FILE).touch()
         assert address_of([tmp_path / "run"]) == f"#/standings/{run_id(store.directory)}"
@@ -149,10 +149,8 @@ def test_over_episodes_a_span_beyond_the_end_has_no_curve() -> None:
     assert over_episodes(np.ones((1, 3)), 1, RNG, (7, 9)) is None
 
 
-def test_many_trials_still_fit(tmp_path: Path) -> None:
-    from experiment_runner.view.curves import _as_json
-
-    curve = over_episodes(RNG.normal(size=(300, 1000)), 100, RNG)
+def test_many_trials_still_fit() -> None:
+    curve = over_episodes(RNG.normal(size=(300, 100)), 10, RNG)
     assert curve is not None
     shown = _as_json(Setting("a", "", (), ()), curve)
     assert sum(map(len, shown["singles"])) <= 8000

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +11,7 @@ from experiment_runner.view.catalog import read_notes
 from experiment_runner.view.guard import HEADERS, Address
 from tests.experiment_runner.view.pages import Inside
 from tests.experiment_runner.view.test_stream import make_run
+from tests.forked import run
 
 EVERYTHING = ("/", "/static/main.js", "/api/stream?topic=runs", "/api/run/0", "/nothing")
 METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "PROPFIND")
@@ -158,7 +157,6 @@ def test_behind_a_proxy_its_name_counts_and_off_loopback_any_ip_but_no_other_nam
 
 
 def test_off_loopback_only_when_told_to(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "experiment_runner.cli.view", str(tmp_path), "--host", "0.0.0.0"]
-    refused = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    refused = run("glue-view", str(tmp_path), "--host", "0.0.0.0", cwd=tmp_path)
     assert refused.returncode == 2
     assert "--insecure" in refused.stderr

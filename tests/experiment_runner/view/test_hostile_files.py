@@ -20,7 +20,7 @@ from env_server.replay.episodes import open_recording, recorded_moments
 from experiment_runner.competition.board.standings import standings
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.verify import verify
-from experiment_runner.executors.resume import create_run, resume_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_text, overview
 from experiment_runner.store.export import episode_table
@@ -31,8 +31,7 @@ from experiment_runner.store.merge import merge
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from experiment_runner.view.catalog import Catalog
-from experiment_runner.view.summary import run_in_full
+from experiment_runner.view.catalog import Catalog, run_in_full
 from glue.errors import GlueError
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
@@ -121,8 +120,17 @@ def merge_run(directory: Path) -> None:
 
 
 def resume(directory: Path) -> None:
-    store, _ = resume_run(directory, PLAN)
-    store.close()
+    open_run(directory, PLAN).close()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of two runs, to be copied."""
+    folder = tmp_path_factory.mktemp("made")
+    with open_run(folder / "run", PLAN) as store:
+        store.record(store.trials()[0].spec.id, EpisodeResult(1, 1.0, 2, True, 0.1))
+    open_run(folder / "sound", PLAN).close()
+    return folder
 
 
 @pytest.mark.parametrize("thing", THINGS)
@@ -130,11 +138,8 @@ def resume(directory: Path) -> None:
     "name",
     ["lock", "plan.toml", "run.json", "results.sqlite", "results.sqlite-wal", "notes.json", "hubs.json"],
 )
-def test_a_run(tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
-    directory, victim = tmp_path / "runs/run", tmp_path / "victim"
-    with create_run(directory, PLAN) as store:
-        store.record(store.trials()[0].spec.id, EpisodeResult(1, 1.0, 2, True, 0.1))
-    create_run(tmp_path / "runs/sound", PLAN).close()
+def test_a_run(made: Path, tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
+    directory, victim = shutil.copytree(made, tmp_path / "runs") / "run", tmp_path / "victim"
     lay(directory / name, thing, victim)
     lock_holder(directory)
     meetings_in(directory)
@@ -155,24 +160,22 @@ def test_a_run(tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -
 
 @pytest.mark.parametrize("linked", [Path.symlink_to, Path.hardlink_to])
 def test_the_database_of_another_run_is_not_written_to(
-    tmp_path: Path, linked: Callable[[Path, Path], None]
+    made: Path, tmp_path: Path, linked: Callable[[Path, Path], None]
 ) -> None:
-    for name in ("other", "run"):
-        create_run(tmp_path / name, PLAN).close()
-    before = (tmp_path / "other/results.sqlite").read_bytes()
-    (tmp_path / "run/results.sqlite").unlink()
-    linked(tmp_path / "run/results.sqlite", tmp_path / "other/results.sqlite")
+    runs = shutil.copytree(made, tmp_path / "runs")
+    before = (runs / "sound/results.sqlite").read_bytes()
+    (runs / "run/results.sqlite").unlink()
+    linked(runs / "run/results.sqlite", runs / "sound/results.sqlite")
     with pytest.raises(GlueError, match=r"symbolic link|hard link"):
-        resume(tmp_path / "run")
-    assert (tmp_path / "other/results.sqlite").read_bytes() == before
+        resume(runs / "run")
+    assert (runs / "sound/results.sqlite").read_bytes() == before
 
 
-def test_a_folder_of_a_run_that_leads_elsewhere_is_not_written_to(tmp_path: Path) -> None:
-    create_run(tmp_path / "run", PLAN).close()
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "run/records").symlink_to(tmp_path / "elsewhere")
+def test_a_folder_of_a_run_that_leads_elsewhere_is_not_written_to(made: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(made / "run", tmp_path / "run")
+    (run / "records").symlink_to(tmp_path)
     with pytest.raises(GlueError, match="records is a symbolic link, which no run has: remove it"):
-        resume(tmp_path / "run")
+        resume(run)
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from experiment_runner.analysis.settings import collect
 from experiment_runner.competition.board.forms import as_csv
 from experiment_runner.competition.board.forms import as_text as board_text
 from experiment_runner.competition.board.standings import Forfeit, Standing, Standings
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.comparing import COLUMNS, compared
 from experiment_runner.report.overview import Overview, as_object, as_text, overview
@@ -26,21 +26,20 @@ from experiment_runner.report.tables import format_table, tabulate
 from experiment_runner.store.export import episode_table, metric_table, write_csv, write_json
 from experiment_runner.store.records import EpisodeResult, Reading
 from experiment_runner.store.results import Results
-from experiment_runner.view.catalog import Catalog
+from experiment_runner.view.catalog import Catalog, run_in_full
 from experiment_runner.view.curves import Wanted, curves
 from experiment_runner.view.export import as_page
 from experiment_runner.view.reader import as_json
-from experiment_runner.view.summary import run_in_full
 
 HOSTILE = "=cmd|x\x1b[2J\r\u202e\x9b31m<b>\nError: forged"
 PLAN = Plan(episodes=1, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which every text is hostile: of the folder, players, trials, failures, events, answers."""
-    directory = tmp_path / HOSTILE.replace("/", "")
-    with create_run(directory, PLAN) as store:
+    directory = tmp_path_factory.mktemp("runs") / HOSTILE.replace("/", "")
+    with open_run(directory, PLAN) as store:
         trial = store.trials()[0].spec.id
         read = (Reading(1, {"total reward": 1.0, "m": 1.0}),)
         store.record_all([(trial, EpisodeResult(1, 1.0, 1, True, 0.1), None, (), read)])

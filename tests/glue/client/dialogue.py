@@ -11,7 +11,7 @@ import pytest
 from glue.client.experiment import RemoteExperiment, connect_over
 from glue.client.players import _serve
 from glue.client.target import Target
-from glue.doors import clock
+from glue.system import clock
 from glue.wire.messages import Kind, Message, Role
 
 HEARTBEAT = 1.0

@@ -6,9 +6,9 @@ import time
 
 import pytest
 
-from glue.doors import clock
 from glue.sockets import spinning
 from glue.sockets.spinning import Spin
+from glue.system import clock
 
 ENDLESS = 60.0
 
@@ -35,18 +35,17 @@ def test_arrivals_are_found() -> None:
     assert Spin(ENDLESS).until_found(Arriving(50)) == "here"
 
 
-def test_each_spin_in_vain_doubles_the_number_of_waits_without_one() -> None:
+def test_each_spin_without_success_doubles_the_number_of_waits_without_one() -> None:
     spin, nothing = Spin(0.0), Arriving(-1)
     for _ in range(2 + 4 + 8 + 3):
         assert spin.until_found(nothing) is None
     assert nothing.looks == 3
 
 
-def test_a_core_that_was_lost_to_another_program_is_not_yielded_for_long(
+def test_after_a_core_was_lost_to_another_program_there_is_no_spin_for_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(spinning, "_LOST_SECONDS", 0.001)
-    monkeypatch.setattr(spinning, "SEVERAL_CORES", False)
     monkeypatch.setattr(spinning, "_REST", 1e5)
     monkeypatch.setattr(clock, "give_way", lambda: time.sleep(0.002))
     spin, nothing = Spin(ENDLESS), Arriving(-1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import subprocess
 import sys
 import threading
@@ -14,7 +15,7 @@ import pytest
 
 from glue.compiled.jit import entry
 from glue.compiled.threads import CALLER, RELEASED, Gate, Threads, begin_turn, claim, end_turn
-from glue.doors import clock
+from glue.system import clock
 from tests.house.imports import ROOT
 
 COUNT = 10
@@ -150,11 +151,15 @@ def test_what_a_thread_raises_is_raised_and_nobody_waits_for_it() -> None:
     threads.close()
 
 
-def test_a_program_ends_although_threads_wait() -> None:
+@pytest.mark.parametrize(("uncompiled", "workers"), [("0", 2), ("1", 0)])
+def test_a_program_ends_although_threads_wait_and_works_uncompiled(uncompiled: str, workers: int) -> None:
     code = (
-        f"from {__name__} import *; threads = Threads(3, COUNT); "
-        "threads.run(mark, np.zeros(COUNT, np.int64)); print(at_work())"
+        f"from {__name__} import *; threads = Threads(3, COUNT); numbers = np.zeros(COUNT, np.int64); "
+        "threads.run(mark, numbers); print(at_work(), numbers.min(), numbers.max())"
     )
     command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
-    assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr
+    env = {**os.environ, "NUMBA_DISABLE_JIT": uncompiled}
+    done = subprocess.run(
+        command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, f"{workers} 1 1\n"), done.stderr

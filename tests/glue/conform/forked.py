@@ -6,8 +6,8 @@ import time
 from typing import cast
 
 from glue import AgentLike, EnvironmentLike, serve_agent, serve_environment
-from glue.conform.hub.clients import Start, is_awake
-from glue.conform.hub.mirror import run_mirror
+from glue.conform.clients.mirror import run_mirror
+from glue.conform.clients.process import Start, is_awake
 from glue.errors import GlueError
 from glue.wire.messages import Role
 from tests.forked import Recorded
@@ -46,17 +46,17 @@ def slow_to_close(role: Role) -> Start:
     return lambda hub, session: Judged(_slow_to_close, role, hub, session)
 
 
-def served(player: AgentLike | EnvironmentLike) -> Start:
+def served(player: AgentLike | EnvironmentLike, name: str = "") -> Start:
     """Return a function that starts one of our players other than the mirror."""
-    return lambda hub, session: Judged(_serve, player, hub, session)
+    return lambda hub, session: Judged(_serve, player, name or None, hub, session)
 
 
-def _serve(player: AgentLike | EnvironmentLike, hub: str, session: str) -> int:
+def _serve(player: AgentLike | EnvironmentLike, name: str | None, hub: str, session: str) -> int:
     try:
         if hasattr(player, "agent_start"):
-            print(serve_agent(cast(AgentLike, player), hub, session))
+            print(serve_agent(cast(AgentLike, player), hub, session, name=name))
         else:
-            print(serve_environment(player, hub, session))
+            print(serve_environment(player, hub, session, name=name))
     except GlueError as error:
         print(error)
         return 1

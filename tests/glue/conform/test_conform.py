@@ -10,16 +10,17 @@ from pathlib import Path
 import pytest
 
 from env_server.toys import MinesEnvironment
-from glue.conform.hub.rules import Tier
-from glue.conform.judge import Outcome, judge, judge_scripts, rules_of
+from glue.cli.conform import conform as command
+from glue.conform.clients.judge import judge, judge_scripts, rules_of
 from glue.conform.report import line, reached, summary
+from glue.conform.rules import Outcome, Tier
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.testing import HubRule
 from glue.types import Action, Observation
 from glue.wire.messages import THREE_ROLES, Role
 from tests.forked import run
-from tests.glue.conform.forked import QUIET, WAIT, served, wrong
+from tests.glue.conform.forked import QUIET, WAIT, mirror, served, wrong
 from tests.glue.conform.wrong import FAULTS
 from tests.pages import DOCS, anchors
 
@@ -37,7 +38,7 @@ ROOT = Path(__file__).parents[3]
     ],
 )
 def test_random_faults_find_a_wrong_client(role: Role, fault: str) -> None:
-    verdicts = judge_scripts(role, wrong(role, fault), range(6), transport="ipc", wait=20)
+    verdicts = [*judge_scripts(role, wrong(role, fault), range(6), transport="ipc", wait=20)]
 
     expected = [verdict.expected for verdict in verdicts if verdict.outcome is Outcome.FAILED]
     assert any(", after " in text for text in expected)
@@ -45,7 +46,7 @@ def test_random_faults_find_a_wrong_client(role: Role, fault: str) -> None:
 
 @pytest.mark.stage("conformance")
 def test_any_agent_survives_random_faults() -> None:
-    verdicts = judge_scripts(Role.AGENT, served(Walker()), range(2), transport="ipc", wait=WAIT)
+    verdicts = [*judge_scripts(Role.AGENT, served(Walker()), range(2), transport="ipc", wait=WAIT)]
 
     assert {verdict.outcome for verdict in verdicts} == {Outcome.PASSED}
 
@@ -80,12 +81,17 @@ class RefusesMessages(Walker):
         raise ValueError("no messages, please")
 
 
+class Echo(Walker):
+    def agent_message(self, message: str) -> str:
+        return message
+
+
 @pytest.mark.stage("conformance")
 @pytest.mark.parametrize(("role", "make"), [(Role.AGENT, Walker), (Role.ENVIRONMENT, MinesEnvironment)])
 def test_any_player_is_judged_by_what_does_not_rest_on_its_answers(
     role: Role, make: type[Walker] | type[MinesEnvironment]
 ) -> None:
-    verdicts = judge(role, served(make()), transport="ipc", wait=WAIT, quiet=QUIET)
+    verdicts = [*judge(role, served(make()), transport="ipc", wait=WAIT, quiet=QUIET)]
 
     unjudged = [v.rule for v in verdicts if v.outcome is Outcome.NOT_JUDGED]
     assert [line(verdict) for verdict in verdicts if verdict.outcome is Outcome.FAILED] == []
@@ -95,17 +101,27 @@ def test_any_player_is_judged_by_what_does_not_rest_on_its_answers(
 
 
 def test_a_player_that_fails_in_a_legal_call_is_found_without_the_mirror() -> None:
-    verdicts = judge(Role.AGENT, served(RefusesMessages()), wait=WAIT, only={"hello"})
+    verdicts = [*judge(Role.AGENT, served(RefusesMessages()), wait=WAIT, only={"calls"})]
 
     assert [verdict.outcome for verdict in verdicts] == [Outcome.FAILED]
     assert "no messages, please" in verdicts[0].received
+
+
+def test_the_mirror_is_told_by_its_declared_name_or_by_the_option_and_not_by_its_answers() -> None:
+    expected = {"": Outcome.NOT_JUDGED, "a mirror": Outcome.NOT_JUDGED, "mirror": Outcome.FAILED}
+    for name, outcome in expected.items():
+        start = served(Echo(), name)
+        (ints,) = judge(Role.AGENT, start, wait=WAIT, only={"ints"})
+        assert ints.outcome is outcome, name
+    (ints,) = judge(Role.AGENT, served(Echo()), mirror=True, wait=WAIT, only={"ints"})
+    assert ints.outcome is Outcome.FAILED
 
 
 @pytest.mark.parametrize(
     ("fault", "conforms"), [("ignores WELCOME's heartbeat", True), ("answers no PING", False)]
 )
 def test_only_a_broken_must_costs_the_tier(fault: str, conforms: bool) -> None:
-    verdicts = judge(Role.AGENT, wrong(Role.AGENT, fault), wait=1, only={FAULTS["agent"][fault]})
+    verdicts = [*judge(Role.AGENT, wrong(Role.AGENT, fault), wait=1, only={FAULTS["agent"][fault]})]
 
     assert [verdict.outcome for verdict in verdicts] == [Outcome.FAILED]
     assert all(reached(verdicts).values()) is conforms
@@ -126,19 +142,24 @@ def conform(*arguments: str) -> subprocess.CompletedProcess[str]:
     return run("glue-conform", *arguments, cwd=ROOT)
 
 
-def test_the_command_prints_json_and_writes_a_scorecard(tmp_path: Path) -> None:
+def test_the_command_prints_json_and_writes_a_scorecard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     card = tmp_path / "card.md"
-    client = (sys.executable, "-m", "glue.testing.mirror", "agent")
+    client = ("./mirror", "agent")
+    # The command's clients, forked: each would start for half a second otherwise, and there are fifteen.
+    monkeypatch.setattr("glue.cli.conform.starter", {client: mirror(Role.AGENT, False)}.__getitem__)
     options = ("--tier", "plays", "--transport", "tcp", "--wait", "20", "--json", "--scorecard", str(card))
-    done = conform("agent", *options, "--", *client)
+    status = command.main(["agent", *options, "--", *client], standalone_mode=False)
 
-    found = json.loads(done.stdout)
+    printed = capsys.readouterr()
+    found = json.loads(printed.out)
     plays = {rule.name for rule in rules_of(Role.AGENT, Tier.PLAYS)}
-    assert (done.returncode, found["tiers"]) == (0, {"plays": True})
+    assert (status, found["command"], found["tiers"]) == (0, [*client], {"plays": True})
     assert {rule["name"] for rule in found["rules"] if rule["outcome"] == "passed"} == plays
     assert all(f"| [{name}](docs/protocol-reference.md#" in card.read_text() for name in plays)
     assert "| plays | yes |" in card.read_text()
-    assert f"wrote {card}" in done.stderr
+    assert f"wrote {card}" in printed.err
 
 
 def test_a_client_that_does_not_connect_is_said_to() -> None:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from glue.conform.hub.clients import starter
-from glue.conform.hub.rules import Requirement
-from glue.conform.judge import Outcome, judge
+from glue.conform.clients.judge import judge
+from glue.conform.clients.process import starter
 from glue.conform.report import line
+from glue.conform.rules import Outcome, Requirement
 from glue.wire.messages import THREE_ROLES, Role
 from tests.cc import compiled
 from tests.glue.conform.forked import ENDS, QUIET, WAIT, mirror, slow_to_close
@@ -22,7 +22,7 @@ EXAMPLE = Path(__file__).parents[3] / "docs/examples/c/mirror.c"
 @pytest.mark.parametrize("role", THREE_ROLES)
 @pytest.mark.parametrize(("transport", "libzmq"), size(ENDS[:1], ENDS))
 def test_our_own_clients_keep_every_rule(role: Role, transport: str, libzmq: bool) -> None:
-    verdicts = judge(role, mirror(role, libzmq), transport=transport, wait=WAIT, quiet=QUIET)
+    verdicts = [*judge(role, mirror(role, libzmq), transport=transport, wait=WAIT, quiet=QUIET)]
 
     unjudged = {verdict.rule.name for verdict in verdicts if verdict.outcome is Outcome.NOT_JUDGED}
     assert unjudged <= {"idle", "batch"}
@@ -39,7 +39,7 @@ def test_a_client_that_reconnects_while_it_ends_is_judged_by_its_end() -> None:
 
 def test_a_client_that_takes_its_time_to_leave_after_an_error_is_judged_by_its_deed() -> None:
     some = {"exception", "max-body"}
-    verdicts = judge(Role.AGENT, mirror(Role.AGENT, False), wait=WAIT, quiet=0.0, only=some)
+    verdicts = [*judge(Role.AGENT, mirror(Role.AGENT, False), wait=WAIT, quiet=0.0, only=some)]
 
     assert [line(verdict) for verdict in verdicts if verdict.outcome is not Outcome.PASSED] == []
 
@@ -53,7 +53,7 @@ def c_mirror(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.proof
 @pytest.mark.parametrize("transport", size(["ipc"], ["tcp", "ipc"]))
 def test_the_example_in_c_keeps_every_rule(c_mirror: Path, transport: str) -> None:
-    verdicts = judge(Role.AGENT, starter([str(c_mirror)]), transport=transport, wait=WAIT, quiet=QUIET)
+    verdicts = [*judge(Role.AGENT, starter([str(c_mirror)]), transport=transport, wait=WAIT, quiet=QUIET)]
 
     unkept = [v for v in verdicts if v.outcome is not Outcome.PASSED and v.rule.level is not Requirement.MAY]
     assert [line(verdict) for verdict in unkept] == []

@@ -8,8 +8,9 @@ from functools import partial
 
 import pytest
 
-from glue.conform.judge import Outcome, judge, rules_of
+from glue.conform.clients.judge import judge, rules_of
 from glue.conform.report import line
+from glue.conform.rules import Outcome
 from glue.wire.messages import THREE_ROLES, Role
 from tests.changes import changed
 from tests.glue.conform.forked import wrong
@@ -34,7 +35,7 @@ def misjudged(role: Role, fault: str, times: tuple[float, float]) -> list[str]:
     broken = {rule, *consequences(fault)}
     some = None if rule is None else {rule, *COMMON}
     wait, quiet = times
-    verdicts = judge(role, wrong(role, fault), wait=wait, quiet=quiet, only=size(some, None))
+    verdicts = [*judge(role, wrong(role, fault), wait=wait, quiet=quiet, only=size(some, None))]
     failed = [verdict for verdict in verdicts if verdict.outcome is Outcome.FAILED]
     # Rules that depend on the broken one need not be judged; all others must be.
     unjudged = [

@@ -29,8 +29,8 @@ gymnasium: Any = pytest.importorskip("gymnasium", reason="needs Gymnasium: the e
 import glue.gym  # noqa: E402
 import tests.glue.gym.environments  # noqa: E402, F401
 from glue.gym.codec import Codec  # noqa: E402
-from glue.gym.infos import infos_of_step  # noqa: E402
 from glue.gym.spaces import read_spaces  # noqa: E402
+from glue.gym.vectors import infos_of_step  # noqa: E402
 
 Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]
 SEED = 11

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from glue.errors import ConfigError
-from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort, check_session, check_url
-from glue.hub.keys import Keys, Permit
+from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, Keys, LegacyPort, Permit, check_session, check_url
 from glue.wire.limits import MAX_BODY, MAX_NAME
 from glue.wire.messages import Role
 

@@ -7,11 +7,10 @@ from contextlib import ExitStack
 
 import pytest
 
+from glue.hub.channel import Channel, Memory
 from glue.hub.config import HubConfig
 from glue.hub.io.connection import Connection
 from glue.hub.io.server import Hub
-from glue.hub.memory import Memory
-from glue.hub.peer import Route
 from glue.hub.session import _MAX_QUERIES
 from glue.types import Action
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
@@ -56,7 +55,7 @@ class Rig:
 
 def has_seat(hub: Hub, session: str) -> bool:
     try:
-        return hub.switchboard.num_steps(session) == 0
+        return hub.sessions.num_steps(session) == 0
     except KeyError:
         return False
 
@@ -168,13 +167,13 @@ def test_requests_that_need_no_player_take_no_more_than_the_queues_share(
     for _ in range(len(asking) * _MAX_QUERIES):
         rig.hub.loop.turn()
     acted: list[Message] = []
-    receive = rig.hub.switchboard.receive
+    receive = rig.hub.sessions.receive
 
-    def count(route: Route, message: Message, now: float) -> bool:
+    def count(channel: Channel, message: Message, now: float) -> bool:
         acted.append(message)
-        return receive(route, message, now)
+        return receive(channel, message, now)
 
-    monkeypatch.setattr(rig.hub.switchboard, "receive", count)
+    monkeypatch.setattr(rig.hub.sessions, "receive", count)
     for _ in range(100):
         rig.hub.loop.turn()
     assert 0 < len(acted) <= 100, "at most one a turn"
@@ -259,10 +258,10 @@ def test_the_steps_that_follow_from_answers_received_together_leave_together(
 class Holding:
     """A holder that records its eviction."""
 
-    def __init__(self, memory: Memory, size: int, seated: bool) -> None:
-        self.seated = seated
+    def __init__(self, memory: Memory, size: int, in_session: bool) -> None:
+        self.in_session = in_session
         self.evicted = False
-        memory.hold(self, size)
+        memory.account(self, size)
 
     def evict(self, why: str) -> None:
         """Release all memory."""
@@ -272,12 +271,22 @@ class Holding:
 def test_a_newcomer_that_holds_little_is_not_evicted_for_those_that_fill_the_memory() -> None:
     memory = Memory(2**20)
     largest, newcomer = Holding(memory, 2**20, True), Holding(memory, 60, False)
-    memory.relieve()
+    memory.enforce()
     assert (largest.evicted, newcomer.evicted) == (True, False)
 
 
 def test_who_takes_part_in_no_session_and_holds_much_is_evicted_first() -> None:
     memory = Memory(2**20)
-    seated, newcomer = Holding(memory, 2**20, True), Holding(memory, 2**17, False)
-    memory.relieve()
-    assert (seated.evicted, newcomer.evicted) == (False, True)
+    in_session, newcomer = Holding(memory, 2**20, True), Holding(memory, 2**17, False)
+    memory.enforce()
+    assert (in_session.evicted, newcomer.evicted) == (False, True)
+
+
+def test_room_is_made_for_a_message_that_did_not_fit() -> None:
+    memory = Memory(2**20)
+    largest, other = Holding(memory, 2**19, True), Holding(memory, 2**18, True)
+    assert memory.make_room(2**18)
+    assert not memory.make_room(2**18 + 1)
+    memory.enforce()
+    assert (largest.evicted, other.evicted) == (True, False)
+    assert memory.make_room(2**18 + 1)

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.doors import network
 from glue.errors import ConfigError, GlueError, HubClosed
+from glue.hub.channel import Channel
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.listener import open_address
 from glue.hub.io.server import Hub
-from glue.hub.peer import Route
-from glue.hub.sessions import Switchboard
+from glue.hub.sessions import Sessions
 from glue.legacy.gateway import Gateway
+from glue.system import network
 from glue.types import Action, Observation
 from glue.wire import zmtp
 from glue.wire.messages import Kind, Message
@@ -154,16 +154,16 @@ def test_a_hub_that_fails_notifies_its_peers_and_raises_in_wait() -> None:
 
 
 def test_an_error_of_the_hub_costs_one_connection_and_is_reported() -> None:
-    class Faulty(Switchboard):
-        def receive(self, route: Route, message: Message, now: float) -> bool:
+    class Faulty(Sessions):
+        def receive(self, channel: Channel, message: Message, now: float) -> bool:
             if message.kind is Kind.RL_RETURN:
                 raise ZeroDivisionError("a fault of the hub")
-            return super().receive(route, message, now)
+            return super().receive(channel, message, now)
 
     lines: list[str] = []
     config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT)
     listening = Hub(config, lines.append)
-    listening.switchboard.__class__ = Faulty
+    listening.sessions.__class__ = Faulty
     with listening.in_background(), connect(listening.endpoints[0], "other") as other:
         with connect(listening.endpoints[0], "one") as one:
             assert one.rl_num_steps() == 0
@@ -193,7 +193,7 @@ def test_everything_sent_before_a_reset_is_received() -> None:
     listening = Hub(
         HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=TIMEOUT, greeting=TIMEOUT), log
     )
-    sessions = [f"{number}" for number in range(listening.config.max_seats)]
+    sessions = [f"{number}" for number in range(listening.config.max_joined)]
 
     with listening.in_background():
         with ScriptedPeer(listening.endpoints[0]).greet() as peer:

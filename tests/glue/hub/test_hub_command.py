@@ -17,11 +17,11 @@ from glue.client.experiment import connect
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import address, address_in, running
 
-PROGRAM: Final = "from glue.cli.hub import main; main()"
+PROGRAM: Final = "from glue_rl.commands import hub; hub()"
 
 SLOW: Final = """
 import time
-from glue.doors import threads
+from glue.system import threads
 
 class Slow(threads.Thread):
     def start(self):

@@ -11,7 +11,6 @@ import pytest
 
 from glue.client.experiment import RemoteExperiment, connect_over
 from glue.client.players import serve_agent, serve_environment
-from glue.doors import network, threads
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import HubClosed
@@ -21,6 +20,7 @@ from glue.hub.io import loop
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.loop import Loop
 from glue.hub.io.server import Hub
+from glue.system import network, threads
 from glue.wire.messages import Kind, Message
 from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT

@@ -18,9 +18,8 @@ from glue.client.players import serve_agent, serve_environment
 from glue.client.target import find_target
 from glue.client.transport import open_transport
 from glue.errors import ConfigError, GlueError, HubUnreachable, Refused
-from glue.hub.config import Bind, HubConfig
+from glue.hub.config import Bind, HubConfig, Keys, Permit
 from glue.hub.io.server import Hub
-from glue.hub.keys import Keys, Permit
 from glue.keys.allowed import read_keys
 from glue.keys.certificates import encode, read_pair, read_public
 from glue.wire import zmtp

@@ -23,8 +23,8 @@ from tests.scripted.peer import TIMEOUT, ScriptedPeer
 
 def wanted(hub: Hub) -> int:
     """Return how many moments the observers of the session want; 0 until the hub has their request."""
-    observers = hub.switchboard._sessions["default"].observers
-    return 0 if observers is None else sum(view.wanted for view in observers._views.values())
+    observers = hub.sessions._by_name["default"].observers
+    return 0 if observers is None else sum(observer.wanted for observer in observers._all.values())
 
 
 class Large(ScriptedEnvironment):

@@ -16,7 +16,7 @@ from glue.wire.limits import MAX_NAME
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, THREE_ROLES, Kind, Role
 from tests.glue.hub.test_sessions import Rig, instance
 from tests.scripted.peer import TIMEOUT, ScriptedPeer
-from tests.weighing import check, check_board, size_of
+from tests.weighing import check, check_sessions, size_of
 
 HEAVY = 500_000
 
@@ -30,9 +30,9 @@ class Weighed(Rig):
         self.requests = 0
         self.fill()
 
-    def put(self, route: str, *message: Any, **more: Any) -> None:
-        super().put(route, *message, **more)
-        check_board(self.board)
+    def put(self, channel: str, *message: Any, **more: Any) -> None:
+        super().put(channel, *message, **more)
+        check_sessions(self.sessions)
 
     def text(self) -> bytes:
         return bytes(self.size)
@@ -48,10 +48,10 @@ class Weighed(Rig):
         self.requests += 1
         self.put("x", kind, self.requests, *scalars, body=body)
 
-    def reply(self, route: str, *scalars: Any, body: bytes = b"") -> Kind:
+    def reply(self, channel: str, *scalars: Any, body: bytes = b"") -> Kind:
         """Let a player answer its call; return the kind."""
-        *_, call = [message for message in self.received(route) if message.kind in CALLS]
-        self.put(route, call.kind, call.seq, *scalars, body=body)
+        *_, call = [message for message in self.received(channel) if message.kind in CALLS]
+        self.put(channel, call.kind, call.seq, *scalars, body=body)
         return call.kind
 
     def init(self) -> None:
@@ -59,10 +59,10 @@ class Weighed(Rig):
         self.reply("e", body=self.text())
         self.reply("a")
 
-    def replace(self, route: str, role: Role) -> None:
+    def replace(self, channel: str, role: Role) -> None:
         """Let another player take a role."""
-        self.put(route, Kind.GOODBYE, 0, "enough")
-        self.hello(route, role, who=f"another {route}")
+        self.put(channel, Kind.GOODBYE, 0, "enough")
+        self.hello(channel, role, who=f"another {channel}")
 
     def step(self, terminal: int = False) -> None:
         """Let the environment answer a step."""
@@ -71,7 +71,7 @@ class Weighed(Rig):
     @property
     def held(self) -> int:
         """What the only session accounts for, in bodies."""
-        return sum(self.board.memory.held.values()) // HEAVY
+        return sum(self.sessions.memory.accounts.values()) // HEAVY
 
 
 def start(rig: Weighed) -> None:
@@ -179,9 +179,9 @@ def an_experiment_that_left(rig: Weighed) -> int:
 
 def a_session_that_all_have_left(rig: Weighed) -> int:
     start(rig)
-    for route in ("x", "e", "a"):
-        rig.put(route, Kind.GOODBYE, 0, "enough")
-    assert rig.board.memory.total == 0
+    for channel in ("x", "e", "a"):
+        rig.put(channel, Kind.GOODBYE, 0, "enough")
+    assert rig.sessions.memory.total == 0
     return 0
 
 
@@ -218,8 +218,8 @@ def test_a_session_with_the_longest_names_weighs_no_more_than_its_fixed_part() -
         rig.put("experiment", Kind.RL_EPISODE, 1, 0, session=wide)
         for player in (Role.AGENT, Role.ENVIRONMENT):
             rig.put(player, Kind.GOODBYE, 0, "x" * 3000, session=wide)
-        check_board(rig.board)
-    assert size_of(rig.board._sessions.values()) > 8000
+        check_sessions(rig.sessions)
+    assert size_of(rig.sessions._by_name.values()) > 8000
 
 
 def test_a_connection_accounts_for_what_it_has_received_and_not_sent() -> None:
@@ -231,7 +231,7 @@ def test_a_connection_accounts_for_what_it_has_received_and_not_sent() -> None:
     def weigh(now: float) -> None:
         check(hub)
         # The reply, kept by the session and by the connection that it waits for, and half a message.
-        if hub.switchboard.memory.total > 3 * len(body):
+        if hub.sessions.memory.total > 3 * len(body):
             full.set()
 
     hub.loop.on_tick(weigh)

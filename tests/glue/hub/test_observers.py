@@ -21,16 +21,16 @@ def rig() -> Rig:
     return rig
 
 
-def shown(rig: Rig, route: str = "o") -> list[tuple[Any, ...]]:
+def shown(rig: Rig, channel: str = "o") -> list[tuple[Any, ...]]:
     """Return the messages sent to an observer: kind, number, scalars and body of each."""
-    return [(m.kind, m.seq, m.scalars, m.body) for m in rig.received(route)]
+    return [(m.kind, m.seq, m.scalars, m.body) for m in rig.received(channel)]
 
 
-def watch(rig: Rig, moments: int, route: str = "o") -> list[Message]:
+def watch(rig: Rig, moments: int, channel: str = "o") -> list[Message]:
     """Let in an observer that wants `moments` moments; return the messages that it receives at once."""
-    welcome, *told = rig.hello(route, Role.OBSERVER)
+    welcome, *told = rig.hello(channel, Role.OBSERVER)
     assert (welcome.kind, welcome.scalars[1]) == (Kind.WELCOME, False)
-    rig.put(route, Kind.OBSERVE, 0, moments)
+    rig.put(channel, Kind.OBSERVE, 0, moments)
     return told
 
 
@@ -135,8 +135,8 @@ def test_an_observer_takes_no_role_and_opens_no_session() -> None:
     rig.fill()
     assert rig.hello("o", Role.OBSERVER)[0].kind is Kind.WELCOME
     assert rig.received("x") == [], "nobody is told of it"
-    for route in ("x", "a", "e"):
-        rig.put(route, Kind.GOODBYE, 0, "done")
+    for channel in ("x", "a", "e"):
+        rig.put(channel, Kind.GOODBYE, 0, "done")
     (goodbye,) = rig.received("o")
     assert (goodbye.kind, goodbye.scalars) == (Kind.GOODBYE, ("the session is over",))
     assert error(rig.hello("p", Role.OBSERVER))[0] == ErrorCode.NO_SESSION
@@ -176,7 +176,7 @@ def test_nothing_that_an_observer_sends_changes_anything(kind: Kind, seq: int) -
     sent = message(kind, shape, seq)
     if kind is Kind.ERROR:
         sent = sent._replace(scalars=("exception", "it failed"))
-    assert rig.board.receive(rig.route("o"), sent, rig.now) is False
+    assert rig.sessions.receive(rig.channel("o"), sent, rig.now) is False
     assert all(m.kind is Kind.ERROR and m.scalars[0] == ErrorCode.NOT_ASKED for m in rig.received("o"))
     assert rig.received("x") == []
     assert [m.kind for m in rig.inbox["a"]] == [Kind.AGENT_START]
@@ -184,9 +184,9 @@ def test_nothing_that_an_observer_sends_changes_anything(kind: Kind, seq: int) -
     assert [m.kind for m in rig.received("x")] == [Kind.RL_START]
 
 
-@pytest.mark.parametrize("route", ["a", "e", "x"])
-def test_who_takes_part_cannot_ask_to_be_shown_anything(rig: Rig, route: str) -> None:
-    code, text = error(rig.say(route, Kind.OBSERVE, 0, 5))
+@pytest.mark.parametrize("channel", ["a", "e", "x"])
+def test_who_takes_part_cannot_ask_to_be_shown_anything(rig: Rig, channel: str) -> None:
+    code, text = error(rig.say(channel, Kind.OBSERVE, 0, 5))
     assert code == ErrorCode.NOT_ASKED
     assert text.startswith("OBSERVE is not for this ")
 
@@ -209,5 +209,5 @@ def test_an_observer_that_leaves_or_is_lost_is_forgotten(rig: Rig) -> None:
     rig.lose("p")
     play(rig, 1, 2)
     assert shown(rig, "o") == shown(rig, "p") == []
-    assert rig.board.num_seats(rig.route("o")) == rig.board.num_seats(rig.route("p")) == 0
+    assert rig.sessions.num_sessions(rig.channel("o")) == rig.sessions.num_sessions(rig.channel("p")) == 0
     assert [m.kind for m in rig.received("x")] == []

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from glue.errors import RemoteProtocolError
 from glue.hub.config import Bind, HubConfig
-from glue.hub.sessions import INSTANCE_SIZE, Switchboard
+from glue.hub.sessions import INSTANCE_SIZE, Sessions
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.limits import MAX_NAME
@@ -27,7 +27,7 @@ from glue.wire.messages import (
     Shape,
 )
 from tests.proof import size
-from tests.weighing import check_board
+from tests.weighing import check_sessions
 
 OBSERVATION = Observation(ints=[3], chars=b"o").body
 ACTION = Action(ints=[4]).body
@@ -50,7 +50,7 @@ ANSWERS: dict[Kind, tuple[tuple[Any, ...], bytes]] = {
 
 
 class Named:
-    """A route of a rig."""
+    """A channel of a rig."""
 
     def __init__(self, rig: Rig, name: str) -> None:
         self._rig = rig
@@ -64,14 +64,14 @@ class Named:
 
 
 class Rig:
-    """A switchboard with named routes; the messages that it sends wait in `inbox` until they are read.
+    """A sessions with named channels; the messages that it sends wait in `inbox` until they are read.
 
     All messages are encoded and decoded, both ways, so that only legal ones are possible.
     """
 
     def __init__(self, config: HubConfig = CONFIG, clock: Callable[[], float] | None = None) -> None:
-        self.board = Switchboard(config, self._log, clock)
-        self.routes: dict[str, Named] = {}
+        self.sessions = Sessions(config, self._log, clock)
+        self.channels: dict[str, Named] = {}
         self.binds: dict[str, Bind] = {}
         self.inbox: dict[str, list[Message]] = {}
         self.gone: set[str] = set()
@@ -82,57 +82,57 @@ class Rig:
     def _log(self, line: str) -> None:
         self.logged.append(line)
 
-    def route(self, name: str) -> Named:
-        """Return the route of that name."""
-        return self.routes.setdefault(name, Named(self, name))
+    def channel(self, name: str) -> Named:
+        """Return the channel of that name."""
+        return self.channels.setdefault(name, Named(self, name))
 
-    def admits(self, route: str, role: Role, session: str) -> bool:
-        """Return whether the route's address admits the role; True if it has none."""
-        return route not in self.binds or self.binds[route].admits(role, session)
+    def admits(self, channel: str, role: Role, session: str) -> bool:
+        """Return whether the channel's address admits the role; True if it has none."""
+        return channel not in self.binds or self.binds[channel].admits(role, session)
 
-    def deliver(self, route: str, message: Message) -> bool:
-        """Put `message` into the route's inbox."""
+    def deliver(self, channel: str, message: Message) -> bool:
+        """Put `message` into the channel's inbox."""
         frames = encode(message, FROM_HUB)
-        if route in self.gone or route in self.full:
+        if channel in self.gone or channel in self.full:
             return False
-        self.inbox.setdefault(route, []).append(decode(frames, FROM_HUB))
+        self.inbox.setdefault(channel, []).append(decode(frames, FROM_HUB))
         return True
 
     def put(
-        self, route: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
+        self, channel: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
     ) -> None:
-        """Send a message from `route`."""
+        """Send a message from `channel`."""
         message = decode(encode(Message(kind, session, seq, scalars, body), TO_HUB), TO_HUB)
-        self.board.receive(self.route(route), message, self.now)
+        self.sessions.receive(self.channel(channel), message, self.now)
 
     def say(
-        self, route: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
+        self, channel: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
     ) -> list[Message]:
-        """Send a message from `route`; return everything it has received since the last call."""
-        self.put(route, kind, seq, *scalars, body=body, session=session)
-        return self.received(route)
+        """Send a message from `channel`; return everything it has received since the last call."""
+        self.put(channel, kind, seq, *scalars, body=body, session=session)
+        return self.received(channel)
 
-    def received(self, route: str) -> list[Message]:
-        """Return the messages sent to `route` since the last call."""
-        return self.inbox.pop(route, [])
+    def received(self, channel: str) -> list[Message]:
+        """Return the messages sent to `channel` since the last call."""
+        return self.inbox.pop(channel, [])
 
     def hello(
         self,
-        route: str,
+        channel: str,
         role: Role | str,
         who: str | None = None,
         session: str = "s",
         abilities: tuple[str, ...] = (),
     ) -> list[Message]:
-        """Let a peer in by `route`; its name is by default that of the route. Return the hub's messages."""
-        name = who or route
+        """Let a peer in by `channel`, by default with its name. Return the hub's messages."""
+        name = who or channel
         scalars = ((PROTOCOL_VERSION,), str(role), instance(name), name, "test", abilities)
-        return self.say(route, Kind.HELLO, 0, *scalars, session=session)
+        return self.say(channel, Kind.HELLO, 0, *scalars, session=session)
 
     def fill(self) -> None:
-        """Let in an agent, an environment and an experiment, by routes `a`, `e` and `x`."""
-        for route, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
-            assert self.hello(route, role)[0].kind is Kind.WELCOME
+        """Let in an agent, an environment and an experiment, by channels `a`, `e` and `x`."""
+        for channel, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
+            assert self.hello(channel, role)[0].kind is Kind.WELCOME
         self.received("x")
 
     def ask(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> None:
@@ -140,36 +140,38 @@ class Rig:
         self.received("x")
         assert self.say("x", kind, seq, *scalars, body=body) == []
 
-    def answer(self, route: str, *scalars: Any) -> Kind:
+    def answer(self, channel: str, *scalars: Any) -> Kind:
         """Let a player answer the one call it was sent; return its kind."""
-        calls = [message for message in self.received(route) if message.kind in CALLS]
-        assert len(calls) == 1, f"{route} was asked {calls}"
+        calls = [message for message in self.received(channel) if message.kind in CALLS]
+        assert len(calls) == 1, f"{channel} was asked {calls}"
         (call,) = calls
         standard, body = ANSWERS.get(call.kind, ((), b""))
-        self.put(route, call.kind, call.seq, *(scalars or standard), body=body)
+        self.put(channel, call.kind, call.seq, *(scalars or standard), body=body)
         return call.kind
 
     def serve(self, *players: str) -> list[Kind]:
         """Let players answer every call, until there are no more."""
         made = []
-        while route := next((route for route in players or ("a", "e") if self.inbox.get(route)), None):
-            made.append(self.answer(route))
+        while channel := next(
+            (channel for channel in players or ("a", "e") if self.inbox.get(channel)), None
+        ):
+            made.append(self.answer(channel))
         return made
 
-    def cut(self, route: str) -> None:
-        """Break the connection of a route."""
-        self.gone.add(route)
+    def cut(self, channel: str) -> None:
+        """Break the connection of a channel."""
+        self.gone.add(channel)
 
     def tick(self, seconds: float) -> None:
         """Let time pass, with one tick at the end; drop heartbeats."""
         self.now += seconds
-        self.board.tick(self.now)
-        for route, messages in self.inbox.items():
-            self.inbox[route] = [message for message in messages if message.kind is not Kind.HEARTBEAT]
+        self.sessions.tick(self.now)
+        for channel, messages in self.inbox.items():
+            self.inbox[channel] = [message for message in messages if message.kind is not Kind.HEARTBEAT]
 
-    def lose(self, route: str) -> None:
-        """Break the connection of a route, and wait until the hub gives it up."""
-        self.cut(route)
+    def lose(self, channel: str) -> None:
+        """Break the connection of a channel, and wait until the hub gives it up."""
+        self.cut(channel)
         self.tick(CONFIG.heartbeat)
         self.tick(CONFIG.timeout)
 
@@ -250,7 +252,7 @@ def test_sessions_are_limited_and_a_freed_one_is_given_to_the_next() -> None:
 
 
 def test_a_connection_leaves_three_quarters_of_the_sessions_to_others(rig: Rig) -> None:
-    assert CONFIG.max_seats == 2
+    assert CONFIG.max_joined == 2
     rig.hello("a", Role.AGENT, session="t")
     for _ in range(2):
         code, text = error(rig.hello("a", Role.AGENT, session="u"))
@@ -285,9 +287,9 @@ def test_the_longest_names_and_texts_still_fit_into_every_header() -> None:
     wide = "\N{GRINNING FACE}" * MAX_NAME
     long = wide[:200]
     rig = Rig()
-    for route, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
-        scalars = ((PROTOCOL_VERSION,), str(role), instance(route), long, wide, ())
-        rig.put(route, Kind.HELLO, 0, *scalars, session=wide)
+    for channel, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
+        scalars = ((PROTOCOL_VERSION,), str(role), instance(channel), long, wide, ())
+        rig.put(channel, Kind.HELLO, 0, *scalars, session=wide)
     assert [message.kind for message in rig.received("x")] == [Kind.WELCOME, Kind.NOTICE, Kind.NOTICE]
     assert error(rig.hello("b", Role.AGENT, session=wide))[0] == ErrorCode.ROLE_TAKEN
     rig.received("a")
@@ -301,15 +303,15 @@ def test_the_longest_names_and_texts_still_fit_into_every_header() -> None:
 def test_when_there_is_no_room_for_more_the_session_that_keeps_most_is_ended_and_told_why() -> None:
     rig = Rig(HubConfig(max_body=100_000, max_memory=560_000, max_sessions=64))
     for n in range(6):
-        for route, role in ((f"a{n}", Role.AGENT), (f"x{n}", Role.EXPERIMENT)):
-            assert rig.hello(route, role, session=f"{n}")[0].kind is Kind.WELCOME
+        for channel, role in ((f"a{n}", Role.AGENT), (f"x{n}", Role.EXPERIMENT)):
+            assert rig.hello(channel, role, session=f"{n}")[0].kind is Kind.WELCOME
             rig.received(f"x{n}")
         size = 95_000 if n == 2 else 90_000
         start = Observation(chars=bytes(size - 16)).body
         rig.put(f"x{n}", Kind.RL_AGENT_START, 1, body=start, session=f"{n}")
-        rig.board.memory.relieve()
+        rig.sessions.memory.enforce()
     for n in range(6):
-        ended = [m for route in (f"x{n}", f"a{n}") for m in rig.received(route) if m.kind is Kind.GOODBYE]
+        ended = [m for channel in (f"x{n}", f"a{n}") for m in rig.received(channel) if m.kind is Kind.GOODBYE]
         # The fifth session ends the largest, number 2; the sixth ends number 0, the first of equals.
         assert len(ended) == (2 if n in (2, 0) else 0)
         assert all("max_memory" in str(message.scalars[0]) for message in ended)
@@ -418,8 +420,8 @@ def test_a_player_may_say_once_why_its_answer_takes_long(playing: Rig) -> None:
     playing.received("x")
     playing.logged.clear()
     (call,) = playing.inbox["e"]
-    for seq, route in ((call.seq + 1, "e"), (call.seq, "a"), (call.seq, "x")):
-        playing.put(route, Kind.NOTICE, seq, "slow", "environment", "nothing")
+    for seq, channel in ((call.seq + 1, "e"), (call.seq, "a"), (call.seq, "x")):
+        playing.put(channel, Kind.NOTICE, seq, "slow", "environment", "nothing")
     assert playing.logged == []
     assert playing.received("x") == []
     assert playing.received("a") == []
@@ -547,8 +549,8 @@ def test_what_only_the_hub_says_is_an_error_from_a_peer(rig: Rig, message: tuple
 
 def test_every_peer_is_told_when_the_hub_ends(rig: Rig) -> None:
     rig.hello("a", Role.AGENT, session="t")
-    rig.board.close("SIGTERM")
-    told = {route: [(m.session, m.scalars) for m in rig.received(route)] for route in ("a", "e", "x")}
+    rig.sessions.close("SIGTERM")
+    told = {channel: [(m.session, m.scalars) for m in rig.received(channel)] for channel in ("a", "e", "x")}
     s = ("s", ("SIGTERM",))
     assert told == {"a": [s, ("t", ("SIGTERM",))], "e": [s], "x": [s]}
 
@@ -556,7 +558,7 @@ def test_every_peer_is_told_when_the_hub_ends(rig: Rig) -> None:
 # Anything at all
 
 roles = st.sampled_from([*map(str, Role), "king"])
-routes = st.sampled_from(["r0", "r1", "r2", "r3", "r4"])
+channels = st.sampled_from(["r0", "r1", "r2", "r3", "r4"])
 sessions = st.sampled_from(["s", "t", "", "\N{GRINNING FACE}" * MAX_NAME])
 instances = st.sampled_from([instance("1"), instance("2"), instance("3"), b""])
 texts = st.sampled_from(["", "text", "\0\n", "\N{GRINNING FACE}" * 220])
@@ -587,25 +589,25 @@ def events(draw: st.DrawFn) -> tuple[Any, ...]:
     what = draw(
         st.sampled_from(["hello", "hello", "answer", "answer", "answer", "say", "cut", "time", "noise"])
     )
-    route, session = draw(routes), draw(sessions)
+    channel, session = draw(channels), draw(sessions)
     if what == "hello":
         abilities = draw(st.sampled_from([(), ("seed",), ("save", "seed")]))
         versions = draw(st.sampled_from([(1,), (1, 2), (2,), ()]))
         hello = (versions, draw(roles), draw(instances), draw(texts), draw(names), abilities)
-        return "say", route, Message(Kind.HELLO, session, 0, hello)
+        return "say", channel, Message(Kind.HELLO, session, 0, hello)
     if what == "say":
         kind = draw(st.sampled_from(sorted(TO_HUB)))
         shape = TO_HUB[kind]
         scalars = tuple(() if scalar.type is tuple else draw(VALUES[scalar.type]) for scalar in shape.scalars)
         seq = draw(st.integers(0, 12))
-        return "say", route, Message(kind, session, seq, scalars, sized(shape, draw(sizes)))
+        return "say", channel, Message(kind, session, seq, scalars, sized(shape, draw(sizes)))
     if what == "cut":
-        return "cut", route, draw(st.booleans())
+        return "cut", channel, draw(st.booleans())
     if what == "time":
         return "time", draw(st.sampled_from([0.5, 1.0, 5.0]))
     if what == "answer":
-        return what, route, draw(sizes), draw(st.booleans())
-    return what, route
+        return what, channel, draw(sizes), draw(st.booleans())
+    return what, channel
 
 
 @pytest.mark.proof
@@ -617,25 +619,25 @@ def test_the_switchboard_survives_any_behaviour_and_accounts_for_what_it_keeps(
     rig = Rig(HubConfig(max_sessions=8))
     for what, *details in story:
         if what == "say":
-            route, message = details
-            rig.board.receive(rig.route(route), decode(encode(message, TO_HUB), TO_HUB), rig.now)
+            channel, message = details
+            rig.sessions.receive(rig.channel(channel), decode(encode(message, TO_HUB), TO_HUB), rig.now)
         elif what == "answer":
-            route, size, terminal = details
-            calls = [m for m in rig.inbox.get(route, []) if m.kind in CALLS and CALLS[m.kind].callee]
+            channel, size, terminal = details
+            calls = [m for m in rig.inbox.get(channel, []) if m.kind in CALLS and CALLS[m.kind].callee]
             if calls:
                 kind, session, seq, *_ = calls[-1]
                 scalars = (1.0, terminal) if kind is Kind.ENV_STEP else ()
                 answer = Message(kind, session, seq, scalars, sized(CALLS[kind].reply, size))
-                rig.board.receive(rig.route(route), decode(encode(answer, TO_HUB), TO_HUB), rig.now)
+                rig.sessions.receive(rig.channel(channel), decode(encode(answer, TO_HUB), TO_HUB), rig.now)
         elif what == "cut":
-            route, cut = details
-            (rig.gone.add if cut else rig.gone.discard)(route)
+            channel, cut = details
+            (rig.gone.add if cut else rig.gone.discard)(channel)
         elif what == "time":
             rig.tick(details[0])
         else:
-            rig.board.malformed(rig.route(details[0]), RemoteProtocolError("noise"), rig.now)
-        check_board(rig.board)
-    rig.board.close("over")
+            rig.sessions.malformed(rig.channel(details[0]), RemoteProtocolError("noise"), rig.now)
+        check_sessions(rig.sessions)
+    rig.sessions.close("over")
 
 
 # Losses that a returning experiment has not been notified of

@@ -6,7 +6,7 @@ import pytest
 
 from glue.errors import ConfigError
 from glue.hub.config import HubConfig, TimeLimits
-from glue.hub.time_bank import TimeBank
+from glue.hub.timing import TimeBank
 from glue.wire.messages import ErrorCode, Kind, Role
 from tests.glue.hub.test_sessions import Rig
 
@@ -100,7 +100,7 @@ def timed() -> tuple[Rig, Clock]:
     rig.ask(Kind.RL_INIT, 1, None)
     rig.serve()
     rig.ask(Kind.RL_EPISODE, 2, 0)
-    assert [rig.answer(route) for route in "eae"] == [Kind.ENV_START, Kind.AGENT_START, Kind.ENV_STEP]
+    assert [rig.answer(channel) for channel in "eae"] == [Kind.ENV_START, Kind.AGENT_START, Kind.ENV_STEP]
     return rig, clock
 
 
@@ -151,4 +151,4 @@ def test_without_limits_nothing_is_measured() -> None:
     clock.now += 1e6
     rig.tick(1.0)
     assert rig.answer("a") is Kind.AGENT_INIT
-    assert Role.AGENT in rig.board._sessions["s"].peers
+    assert Role.AGENT in rig.sessions._by_name["s"].peers

@@ -7,7 +7,6 @@ import struct
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +30,7 @@ from glue.legacy.codec import (
     Vocabulary,
     encode,
 )
-from glue.types import Action, Observation, body_size
+from glue.types import Action, Observation
 from glue.wire.messages import Body, Kind
 from tests.proof import size
 
@@ -50,6 +49,8 @@ OF_ROLE = {
     for role in ("agent", "environment", "experiment")
     for end, way in (("client", "from"), ("server", "to"))
 }
+
+pytestmark = pytest.mark.proof
 
 some = settings(max_examples=size(15, 1000), suppress_health_check=[HealthCheck.too_slow])
 
@@ -102,65 +103,6 @@ def test_every_recorded_frame_is_read_and_written_back_to_the_same_bytes(path: P
 
 
 # Round trips
-
-
-def bodies() -> st.SearchStrategy[bytes]:
-    def body(ints: list[int], doubles: list[int], chars: bytes) -> bytes:
-        return (
-            struct.pack("<4I", len(ints), len(doubles), len(chars), 0)
-            + struct.pack(f"<{len(doubles)}Q{len(ints)}I", *doubles, *ints)
-            + chars
-        )
-
-    return st.builds(
-        body,
-        st.lists(st.integers(0, 2**32 - 1), max_size=9),
-        st.lists(st.integers(0, 2**64 - 1), max_size=9),
-        st.binary(max_size=9),
-    )
-
-
-def texts() -> st.SearchStrategy[bytes]:
-    as_text = st.text(st.characters(blacklist_characters="\0", codec="utf-8"), max_size=20)
-    return as_text.map(str.encode) | st.binary(max_size=20).map(lambda data: data.replace(b"\0", b"\xff"))
-
-
-SCALARS: dict[type, st.SearchStrategy[Any]] = {
-    bool: st.booleans(),
-    int: st.integers(0, 2**31 - 1),
-    float: st.floats(allow_nan=False),
-}
-BODIES: dict[Body, st.SearchStrategy[bytes]] = {
-    Body.NONE: st.just(b""),
-    Body.OBSERVATION: bodies(),
-    Body.ACTION: bodies(),
-    Body.OBSERVATION_ACTION: st.builds(bytes.__add__, bodies(), bodies()),
-    Body.TEXT: texts(),
-}
-
-
-@st.composite
-def frames_of(draw: st.DrawFn, vocabulary: Vocabulary) -> Frame:
-    layout = vocabulary[draw(st.sampled_from(sorted(vocabulary)))]
-    scalars = tuple(draw(SCALARS[of_type]) for of_type in layout.types)
-    return Frame(layout.kind, scalars, draw(BODIES[layout.body]))
-
-
-@pytest.mark.parametrize("vocabulary", VOCABULARIES.values(), ids=VOCABULARIES)
-@some
-@given(data=st.data())
-def test_messages_survive_writing_and_reading_at_any_split(
-    vocabulary: Vocabulary, data: st.DataObject
-) -> None:
-    sent = data.draw(st.lists(frames_of(vocabulary), max_size=4))
-    stream = b"".join(encode(message, vocabulary) for message in sent)
-    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
-    decoder = Decoder(vocabulary)
-    received: list[Frame] = []
-    for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
-        decoder.receive_data(stream[start:end])
-        received.extend(events(decoder))
-    assert received == sent
 
 
 @some
@@ -297,19 +239,6 @@ def test_a_text_may_have_a_million_bytes_and_not_one_more() -> None:
 # Malformed input
 
 
-def check_body(form: Body, body: bytes) -> None:
-    if form is Body.NONE:
-        assert body == b""
-    elif form is Body.TEXT:
-        assert b"\0" not in body
-    elif form is Body.OBSERVATION_ACTION:
-        size = body_size(body)
-        Observation.from_body(body[:size])
-        Action.from_body(body[size:])
-    else:
-        Observation.from_body(body)
-
-
 def payloads() -> Iterator[tuple[Vocabulary, int, bytes]]:
     some = Observation([1, 2], [0.5], b"abc").body
     sample = {
@@ -396,31 +325,6 @@ def test_after_an_error_the_decoder_stays_in_error_and_keeps_nothing() -> None:
     with pytest.raises(RemoteProtocolError) as second:
         decoder.next_event()
     assert str(first.value) == str(second.value)
-
-
-@pytest.mark.parametrize("vocabulary", VOCABULARIES.values(), ids=VOCABULARIES)
-@some
-@given(data=st.data())
-def test_random_bytes_give_messages_or_the_one_error(vocabulary: Vocabulary, data: st.DataObject) -> None:
-    kinds = st.sampled_from([*vocabulary, Control.TERMINATE, 0])
-    near_frames = st.builds(raw, kinds, st.binary(max_size=60))
-    near_texts = st.builds(lambda kind, text: raw(kind, text_of(text)), kinds, st.binary(max_size=20))
-    near_bodies = st.builds(
-        lambda kind, counts, rest: raw(kind, struct.pack(">3I", *counts) + rest),
-        kinds,
-        st.tuples(*[st.integers(0, 3) | st.integers(0, 2**32 - 1)] * 3),
-        st.binary(max_size=60),
-    )
-    chunks = data.draw(st.lists(st.binary(max_size=40) | near_frames | near_texts | near_bodies, max_size=6))
-    decoder = Decoder(vocabulary)
-    try:
-        for chunk in chunks:
-            decoder.receive_data(chunk)
-            for message in events(decoder):
-                assert message.kind in vocabulary
-                check_body(vocabulary[message.kind].body, message.body)
-    except RemoteProtocolError:
-        pass
 
 
 # What cannot be sent

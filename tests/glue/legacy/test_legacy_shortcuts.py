@@ -6,16 +6,16 @@ pieces, and so does an abstract type that was read or written just before.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from functools import partial
 from itertools import product
 from random import Random
 from typing import Any
 
+import pytest
+
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.legacy import bodies
-from glue.legacy.bodies import MAX_COUNT, MAX_STRING
 from glue.legacy.codec import (
     FROM_AGENT,
     FROM_ENVIRONMENT,
@@ -23,28 +23,19 @@ from glue.legacy.codec import (
     TO_AGENT,
     TO_ENVIRONMENT,
     TO_EXPERIMENT,
-    Control,
     Decoder,
     Frame,
     Layout,
     Vocabulary,
     encode,
 )
-from glue.types import Action
 from glue.wire.messages import Body, Value
+from tests.glue.legacy.conversations import REWARDS, TYPES, conversation
 from tests.proof import size
 
 VOCABULARIES = (FROM_AGENT, FROM_ENVIRONMENT, FROM_EXPERIMENT, TO_AGENT, TO_ENVIRONMENT, TO_EXPERIMENT)
-TYPES = [
-    Action([1]).body,
-    Action([2]).body,
-    Action().body,
-    Action([1, 2], [0.5], b"abc").body,
-    Action([1, 2], [-0.5], b"abc").body,
-    Action((), [float("nan")], b"\0" * 5).body,
-    Action([3], (), b"abcd").body,
-]
-REWARDS = (0.0, -0.0, 1.0, float("inf"))
+
+pytestmark = pytest.mark.proof
 
 
 def remember(known: bytes) -> None:
@@ -100,40 +91,6 @@ def scalars_of(random: Random, layout: Layout) -> tuple[Value, ...]:
     return tuple(random.choice(chosen[of_type]) for of_type in layout.types)
 
 
-def payload_of(random: Random, layout: Layout) -> bytes:
-    """Return a payload, now and then one that ends early, is too long, or has counts that are too large."""
-    forms = {"d": REWARDS, "i": (0, 1, 2, -1), "I": (0, 2**32 - 1)}
-    head = b"".join(struct.pack(">" + form, random.choice(forms[form])) for form in layout.head.format[3:])
-    if layout.body is Body.TEXT:
-        body = random.choice([b"", b"text", b"cut\0off"])
-        count = random.choice([len(body)] * 8 + [len(body) + 1, MAX_STRING, MAX_STRING + 1])
-        payload = head + struct.pack(">I", count) + body
-    else:
-        types = {Body.NONE: 0, Body.OBSERVATION_ACTION: 2}.get(layout.body, 1)
-        payload = head + b"".join(bodies._OBSERVATION.write(random.choice(TYPES)) for _ in range(types))
-    match random.randrange(10):
-        case 0:
-            return payload[: random.randrange(len(payload) + 1)]
-        case 1:
-            return payload + bytes(random.randrange(1, 20))
-        case 2 if len(payload) > len(head) + 12:
-            return head + struct.pack(">3I", *random.choices([0, 1, MAX_COUNT, MAX_COUNT + 1], k=3)) + payload
-    return payload
-
-
-def conversation(random: Random, vocabulary: Vocabulary) -> Iterator[bytes]:
-    """Yield the frames of a program, most of them of one kind, and none of it after a wrong one."""
-    kinds = list(vocabulary)
-    typed = [kind for kind in kinds if vocabulary[kind].body not in (Body.NONE, Body.TEXT)]
-    usual = random.choice(random.choice([kinds, typed or kinds, typed or kinds]))
-    for _ in range(random.randrange(1, 7)):
-        kind = usual if random.random() < 0.8 else random.choice(kinds)
-        payload = payload_of(random, vocabulary[kind])
-        announced = len(payload) if random.random() < 0.95 else random.choice([0, 2**31, len(payload) + 3])
-        kind = kind if random.random() < 0.95 else random.choice([0, -1, 9, 99, Control.CONNECT_AGENT])
-        yield struct.pack(">iI", kind, announced) + payload
-
-
 def test_frames_are_read_alike_whole_and_cut_anywhere_and_whatever_was_read_before() -> None:
     for seed in range(size(150, 20_000)):
         random = Random(seed)
@@ -149,10 +106,10 @@ def test_frames_are_read_alike_whole_and_cut_anywhere_and_whatever_was_read_befo
                 assert read == expected, f"conversation {seed}, cut at {cut}"
 
 
-def test_frames_are_written_alike_whatever_was_written_before() -> None:
+def test_frames_are_written_alike_whatever_was_written_before_and_read_back() -> None:
     for seed in range(size(1000, 100_000)):
         random = Random(seed)
-        vocabulary = random.choice([TO_AGENT, TO_EXPERIMENT, FROM_ENVIRONMENT])
+        vocabulary = random.choice(VOCABULARIES)
         layout = random.choice(list(vocabulary.values()))
         frame = Frame(layout.kind, scalars_of(random, layout), body_of(random, layout.body))
         remember(b"")
@@ -160,6 +117,13 @@ def test_frames_are_written_alike_whatever_was_written_before() -> None:
         for known in TYPES:
             remember(known)
             assert outcome(partial(encode, frame, vocabulary)) == expected, f"frame {seed}"
+        if "Error" not in expected:
+            scalars = tuple(
+                of_type(value) for of_type, value in zip(layout.types, frame.scalars, strict=True)
+            )
+            sent = {Body.NONE: b"", Body.TEXT: frame.body.partition(b"\0")[0]}.get(layout.body, frame.body)
+            read = reading([encode(frame, vocabulary)], vocabulary, 2**24, bytes)
+            assert read == [repr(Frame(layout.kind, scalars, sent)), "0"], f"frame {seed}"
 
 
 def test_an_observation_and_an_action_are_written_alike_together_and_one_by_one() -> None:

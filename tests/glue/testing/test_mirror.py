@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from glue.conform.hub.mirror import MirrorAgent, MirrorEnvironment
+from glue.conform.clients.mirror import MirrorAgent, MirrorEnvironment
 from glue.types import Action, Observation
 
 

@@ -10,12 +10,13 @@ from typing import Any
 import pytest
 
 from glue.client.experiment import connect
-from glue.conform.peers import checking
+from glue.conform.hubs.rules import RULES
 from glue.errors import ConfigError, RemoteProtocolError
+from glue.hub.channel import Channel
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from glue.hub.peer import Peer, Route
-from glue.hub.sessions import Switchboard
+from glue.hub.session import Peer
+from glue.hub.sessions import Sessions
 from glue.testing import ContractBroken, HubRule, check_hub
 from glue.types import Action
 from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
@@ -47,94 +48,96 @@ def test_hub_that_is_not_there_is_no_hub() -> None:
 # Hubs that break one rule
 
 
-class Spoiled(Switchboard):
-    """Our switchboard, with changes to outgoing and incoming messages."""
+class Spoiled(Sessions):
+    """Our sessions, with changes to outgoing and incoming messages."""
 
     def __init__(self, config: HubConfig, log: Callable[[str], None], clock: Callable[[], float]) -> None:
         super().__init__(config, log, clock)
         self.seen: dict[Any, Any] = {}
 
-    def send(self, route: Route, message: Message) -> bool:
-        arrived = [to.deliver(sent) for to, sent in self.out(route, message)]
+    def send(self, channel: Channel, message: Message) -> bool:
+        arrived = [to.deliver(sent) for to, sent in self.out(channel, message)]
         return all(arrived)
 
     def deliver(self, peer: Peer, message: Message) -> None:
-        self.send(peer.route, message)
+        self.send(peer.channel, message)
 
-    def receive(self, route: Route, message: Message, now: float) -> bool:
-        in_turn = [super(Spoiled, self).receive(route, heard, now) for heard in self.heard(route, message)]
+    def receive(self, channel: Channel, message: Message, now: float) -> bool:
+        in_turn = [
+            super(Spoiled, self).receive(channel, heard, now) for heard in self.heard(channel, message)
+        ]
         return all(in_turn)
 
-    def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
-        return [(route, message)]
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+        return [(channel, message)]
 
-    def heard(self, route: Route, message: Message) -> list[Message]:
+    def heard(self, channel: Channel, message: Message) -> list[Message]:
         return [message]
 
 
 class NeverWelcomes(Spoiled):
-    def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
-        return [] if message.kind is Kind.WELCOME else [(route, message)]
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+        return [] if message.kind is Kind.WELCOME else [(channel, message)]
 
 
 class AsksTheAgentBeforeTheEnvironment(Spoiled):
-    def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
         if message.kind is Kind.AGENT_INIT:
-            self.seen[message.session] = route
+            self.seen[message.session] = channel
         if message.kind is Kind.ENV_START:
             early = message._replace(kind=Kind.AGENT_START, seq=message.seq + 1, body=Action().body)
-            return [(self.seen[message.session], early), (route, message)]
-        return [] if message.kind is Kind.AGENT_START else [(route, message)]
+            return [(self.seen[message.session], early), (channel, message)]
+        return [] if message.kind is Kind.AGENT_START else [(channel, message)]
 
 
 class CountsBackwards(Spoiled):
-    def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
-        return [(route, self.heard(route, message)[0])]
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+        return [(channel, self.heard(channel, message)[0])]
 
-    def heard(self, route: Route, message: Message) -> list[Message]:
+    def heard(self, channel: Channel, message: Message) -> list[Message]:
         called = message.kind in CALLS and CALLS[message.kind].callee is not None
         return [message._replace(seq=1000 - message.seq) if called and message.seq < 1000 else message]
 
 
 class ReturnsTheLastReward(Spoiled):
-    def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
         if message.kind is Kind.RL_RETURN:
             message = message._replace(scalars=(self.seen.get(message.session, 0.0),))
-        return [(route, message)]
+        return [(channel, message)]
 
-    def heard(self, route: Route, message: Message) -> list[Message]:
+    def heard(self, channel: Channel, message: Message) -> list[Message]:
         if message.kind in (Kind.ENV_INIT, Kind.ENV_START, Kind.ENV_STEP):
             self.seen[message.session] = (*message.scalars, 0.0)[0]
         return [message]
 
 
 class KnowsOneSessionOfAConnection(Spoiled):
-    def heard(self, route: Route, message: Message) -> list[Message]:
-        return [message._replace(session=self.seen.setdefault(route, message.session))]
+    def heard(self, channel: Channel, message: Message) -> list[Message]:
+        return [message._replace(session=self.seen.setdefault(channel, message.session))]
 
 
 class DropsWhoSaysWhatIsUnknown(Spoiled):
-    def malformed(self, route: Route, error: RemoteProtocolError, now: float) -> None:
-        super().malformed(route, RemoteProtocolError(str(error)), now)
+    def malformed(self, channel: Channel, error: RemoteProtocolError, now: float) -> None:
+        super().malformed(channel, RemoteProtocolError(str(error)), now)
 
 
 class CountsAHelloForAnAnswer(Spoiled):
     """Counts an instance as known from its first HELLO until its goodbye."""
 
-    def heard(self, route: Route, message: Message) -> list[Message]:
+    def heard(self, channel: Channel, message: Message) -> list[Message]:
         if message.kind is Kind.HELLO:
-            self.seen[route, message.session] = message.session, message.scalars[2]
+            self.seen[channel, message.session] = message.session, message.scalars[2]
         if message.kind is Kind.GOODBYE:
-            self.seen.pop(self.seen.get((route, message.session)), None)
+            self.seen.pop(self.seen.get((channel, message.session)), None)
         return [message]
 
-    def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
         if message.kind is Kind.WELCOME:
-            peer = self.seen[route, message.session]
+            peer = self.seen[channel, message.session]
             version, resumed, *rest = message.scalars
             message = message._replace(scalars=(version, resumed or peer in self.seen, *rest))
             self.seen[peer] = True
-        return [(route, message)]
+        return [(channel, message)]
 
 
 class WaitsForEver(Spoiled):
@@ -150,8 +153,8 @@ Change = Callable[[Message, Seen], Message]
 def saying(change: Change, *kinds: Kind) -> type[Spoiled]:
     """Return a hub that changes its outgoing messages of some kinds."""
 
-    def out(hub: Spoiled, route: Route, message: Message) -> list[tuple[Route, Message]]:
-        return [(route, change(message, hub.seen) if message.kind in kinds else message)]
+    def out(hub: Spoiled, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+        return [(channel, change(message, hub.seen) if message.kind in kinds else message)]
 
     return type("Saying", (Spoiled,), {"out": out})
 
@@ -159,7 +162,7 @@ def saying(change: Change, *kinds: Kind) -> type[Spoiled]:
 def hearing(change: Change, *kinds: Kind) -> type[Spoiled]:
     """Return a hub that changes incoming messages of some kinds."""
 
-    def heard(hub: Spoiled, route: Route, message: Message) -> list[Message]:
+    def heard(hub: Spoiled, channel: Channel, message: Message) -> list[Message]:
         return [change(message, hub.seen) if message.kind in kinds else message]
 
     return type("Hearing", (Spoiled,), {"heard": heard})
@@ -261,7 +264,7 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
 
 
 def caught(monkeypatch: pytest.MonkeyPatch, broken: type[Spoiled], wait: float = WAIT) -> ContractBroken:
-    monkeypatch.setattr("glue.hub.io.server.Switchboard", broken)
+    monkeypatch.setattr("glue.hub.io.server.Sessions", broken)
     with hub() as url, pytest.raises(ContractBroken) as error:
         check_hub(url, wait=wait)
     return error.value
@@ -279,8 +282,8 @@ def test_broken_hub_is_found_by_name(monkeypatch: pytest.MonkeyPatch, broken: st
 def test_hub_that_says_nothing_is_found_when_the_wait_is_over(
     monkeypatch: pytest.MonkeyPatch, broken: type[Spoiled], rule: HubRule
 ) -> None:
-    only = [each for each in checking.RULES if each.text == rule]
-    monkeypatch.setattr(checking, "RULES", only)
+    only = [each for each in RULES if each.text == rule]
+    monkeypatch.setattr("glue.conform.hubs.judge.RULES", only)
     assert caught(monkeypatch, broken, wait=0.5).rule is rule
 
 

@@ -136,7 +136,7 @@ def test_messages_go_both_ways_with_their_flags_encrypted() -> None:
     assert mechanism.client == CAROL.public
     large = bytes(MAX_FRAME)
     assert events(decoder, client.message(b"header", 1) + client.message(large)) == [[b"header", large]]
-    first, second = mechanism.encode([b"header"]), mechanism.encode([b"x", large])
+    first, second = bytes(mechanism.encode([b"header"])), bytes(mechanism.encode([b"x", large]))
     assert client.read(first[2:]) == (0, b"header")
     assert client.read(second[2 : 2 + second[1]]) == (1, b"x")
     assert client.read(second[2 + second[1] + 9 :]) == (0, large)
@@ -370,7 +370,7 @@ def test_both_ends_understand_each_other(piece: int) -> None:
     assert hub_end.client == CAROL.public
     large = bytes(MAX_FRAME)
     for sender, receiver in ((ours, hub), (hub_end, client)):
-        first, second = sender.encode([b"header", large]), sender.encode([b""])
+        first, second = bytes(sender.encode([b"header", large])), bytes(sender.encode([b""]))
         assert b"header" not in first
         assert events(receiver, first + second) == [[b"header", large], [b""]]
         with pytest.raises(RemoteProtocolError, match="a replay"):

@@ -14,8 +14,8 @@ from random import Random
 
 import pytest
 
-from glue.doors import chance
 from glue.errors import RemoteProtocolError
+from glue.system import chance
 from glue.types import CUT_OFF
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, encode
@@ -78,7 +78,7 @@ class Line:
     def encoded(self, random: Random, frames: Sequence[bytes], flags: int = 0) -> bytes:
         """Return the bytes of a message, perhaps in an encoding that this project does not write."""
         if self.mechanism is not None:
-            return self.mechanism.encode(frames, _ENCRYPTED_COMMAND if flags == COMMAND else flags)
+            return bytes(self.mechanism.encode(frames, _ENCRYPTED_COMMAND if flags == COMMAND else flags))
         parts = []
         for left, frame in zip(range(len(frames))[::-1], frames, strict=True):
             more = MORE if left else flags

@@ -13,7 +13,7 @@ import pytest
 import glue.testing
 from glue.engine.local import local
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
-from glue.hub.io.channels import MAX_UNSEATED, MAX_UNSENT
+from glue.hub.io.channels import MAX_UNSENT, MAX_WITHOUT_SESSION
 from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.types import AbstractType, Action, Observation, body_size
 from glue.wire.codec import decode, encode
@@ -245,7 +245,7 @@ def test_limits_and_defaults_are_those_of_the_program() -> None:
     assert room == [
         "a quarter of those of the hub",
         f"{config.greeting:g} s",
-        f"{MAX_UNSEATED}",
+        f"{MAX_WITHOUT_SESSION}",
         "a quarter of the machine's memory, or as the hub is configured",
         f"{MAX_UNSENT} bytes",
     ]

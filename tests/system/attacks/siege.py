@@ -143,10 +143,10 @@ def make_keys(folder: Path) -> tuple[Path, dict[str, Any], tuple[str, ...]]:
     """Make keys; return the directory of the hub, and what honest sessions and the attacker need."""
     keys = KeyFolder(folder)
     carol, mallory = keys.entrant("carol"), keys.entrant("mallory")
-    others = [f"m{number}" for number in range(40)]
+    others = [f"m{number}{part}" for number in range(40) for part in ["", *(f"-{n}" for n in range(32))]]
     keys.allow(
         f'[carol]\nrole = ["agent", "environment", "experiment"]\nsession = {list(HONEST)}\n'
-        f'[mallory]\nrole = ["agent", "environment", "experiment"]\nsession = {["m", *others]}\n'
+        f'[mallory]\nrole = ["agent", "environment", "experiment", "observer"]\nsession = {["m", *others]}\n'
     )
     own = find_target(None, None, mallory, keys.hub_key).key
     assert own is not None

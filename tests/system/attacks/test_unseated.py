@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 from glue.hub.config import HubConfig
-from glue.hub.io.channels import MAX_UNSEATED
+from glue.hub.io.channels import MAX_WITHOUT_SESSION
 from glue.hub.io.server import Hub
 from glue.wire.messages import ErrorCode
 from tests.scripted.peer import GREETING, TIMEOUT, ScriptedPeer, framed
@@ -20,7 +20,8 @@ def test_of_connections_that_join_no_session_the_oldest_make_room() -> None:
     extra = 4
     with Hub(config).in_background() as hub, ExitStack() as stack:
         connections = [
-            stack.enter_context(ScriptedPeer(hub.endpoints[0]).connect()) for _ in range(MAX_UNSEATED + extra)
+            stack.enter_context(ScriptedPeer(hub.endpoints[0]).connect())
+            for _ in range(MAX_WITHOUT_SESSION + extra)
         ]
         for connection in connections[:extra]:
             connection.read_to_end()

@@ -15,10 +15,12 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any
 
+from glue.engine.experiment import Experiment
 from glue.roles import Agent, Environment
 from glue.types import AbstractType, Action, Observation
+from glue.wire.messages import Kind, Value
 
 TIMEOUT = 30.0
 """Seconds that a test waits for the other side before it fails."""
@@ -91,41 +93,25 @@ STYLES = {
 }
 
 
-class Numbers(NamedTuple):
-    """An observation or an action."""
-
-    ints: tuple[int, ...] = ()
-    doubles: tuple[float, ...] = ()
-    chars: bytes = b""
-
-
-def pack_numbers(numbers: Numbers) -> bytes:
+def pack(value: AbstractType) -> bytes:
     """Return the bytes of an abstract type."""
-    ints, doubles, chars = numbers
-    return (
-        struct.pack(">3I", len(ints), len(doubles), len(chars))
-        + struct.pack(f">{len(ints)}i", *ints)
-        + struct.pack(f">{len(doubles)}d", *doubles)
-        + chars
-    )
+    ints, doubles, chars = value.ints.tolist(), value.doubles.tolist(), value.chars
+    form = f">3I{len(ints)}i{len(doubles)}d"
+    return struct.pack(form, len(ints), len(doubles), len(chars), *ints, *doubles) + chars
 
 
-def unpack_numbers(payload: bytes, offset: int = 0) -> tuple[Numbers, int]:
-    """Return the abstract type at `offset` and the offset after it."""
+def unpack(payload: bytes, offset: int = 0) -> tuple[Observation, int]:
+    """Return the abstract type at `offset`, as an observation, and the offset after it."""
     ints, doubles, chars = struct.unpack_from(">3I", payload, offset)
-    at_doubles = offset + 12 + 4 * ints
-    at_chars = at_doubles + 8 * doubles
+    numbers = struct.unpack_from(f">{ints}i{doubles}d", payload, offset + 12)
+    at_chars = offset + 12 + 4 * ints + 8 * doubles
     end = at_chars + chars
-    return Numbers(
-        struct.unpack_from(f">{ints}i", payload, offset + 12),
-        struct.unpack_from(f">{doubles}d", payload, at_doubles),
-        payload[at_chars:end],
-    ), end
+    return Observation(numbers[:ints], numbers[ints:], payload[at_chars:end]), end
 
 
-def to_numbers(value: AbstractType) -> Numbers:
-    """Convert one of our observations or actions."""
-    return Numbers(tuple(value.ints.tolist()), tuple(value.doubles.tolist()), value.chars)
+def as_action(value: AbstractType) -> Action:
+    """Return an abstract type as an action."""
+    return Action(value.ints, value.doubles, value.chars)
 
 
 def unpack_text(payload: bytes) -> str:
@@ -258,56 +244,18 @@ class Die(Exception):
     """Raised by a program to have its connection reset instead of an answer sent."""
 
 
-def _shown(payload: bytes, offset: int = 0) -> Observation:
-    return Observation(*unpack_numbers(payload, offset)[0])
-
-
-def _packed(value: AbstractType) -> bytes:
-    return pack_numbers(to_numbers(value))
-
-
-def play_agent(agent: Agent, connection: Connection) -> None:
-    """Join as an agent, and let one of ours answer the server until it says goodbye, or until the agent dies.
+def play(player: Agent | Environment, connection: Connection) -> None:
+    """Join, and let one of our players answer the server until it says goodbye, or until the player dies.
 
     Raises:
         Closed: the server closed the connection without a goodbye.
     """
-    answers: Answers = {
-        Id.AGENT_INIT: lambda payload: agent.agent_init(unpack_text(payload)),
-        Id.AGENT_START: lambda payload: _packed(agent.agent_start(_shown(payload))),
-        Id.AGENT_STEP: lambda payload: _packed(
-            agent.agent_step(struct.unpack_from(">d", payload)[0], _shown(payload, 8))
-        ),
-        Id.AGENT_END: lambda payload: agent.agent_end(*struct.unpack(">d", payload)),
-        Id.AGENT_CLEANUP: lambda payload: agent.agent_cleanup(),
-        Id.AGENT_MESSAGE: lambda payload: agent.agent_message(unpack_text(payload)),
-    }
-    _serve(Id.AGENT_CONNECTION, connection, answers)
-
-
-def play_environment(environment: Environment, connection: Connection) -> None:
-    """Join as an environment, and let one of ours answer until the server says goodbye, or until it dies.
-
-    Raises:
-        Closed: the server closed the connection without a goodbye.
-    """
-
-    def step(payload: bytes) -> bytes:
-        reward, observation, terminal, *_ = environment.env_step(Action(*unpack_numbers(payload)[0]))
-        return struct.pack(">id", terminal, reward) + _packed(observation)
-
-    answers: Answers = {
-        Id.ENV_INIT: lambda payload: environment.env_init(),
-        Id.ENV_START: lambda payload: _packed(environment.env_start()),
-        Id.ENV_STEP: step,
-        Id.ENV_CLEANUP: lambda payload: environment.env_cleanup(),
-        Id.ENV_MESSAGE: lambda payload: environment.env_message(unpack_text(payload)),
-    }
-    _serve(Id.ENVIRONMENT_CONNECTION, connection, answers)
-
-
-def _serve(role: Id, connection: Connection, answers: Answers) -> None:
-    connection.send(role)
+    if isinstance(player, Agent):
+        answers = _answers_of_agent(player)
+        connection.send(Id.AGENT_CONNECTION)
+    else:
+        answers = _answers_of_environment(player)
+        connection.send(Id.ENVIRONMENT_CONNECTION)
     try:
         while True:
             message_id, payload = connection.receive()
@@ -328,101 +276,73 @@ def _serve(role: Id, connection: Connection, answers: Answers) -> None:
         connection.close()
 
 
-class Experiment:
-    """The experiment's side of a connection: one method for each call."""
+def _answers_of_agent(agent: Agent) -> Answers:
+    return {
+        Id.AGENT_INIT: lambda payload: agent.agent_init(unpack_text(payload)),
+        Id.AGENT_START: lambda payload: pack(agent.agent_start(unpack(payload)[0])),
+        Id.AGENT_STEP: lambda payload: pack(
+            agent.agent_step(struct.unpack_from(">d", payload)[0], unpack(payload, 8)[0])
+        ),
+        Id.AGENT_END: lambda payload: agent.agent_end(*struct.unpack(">d", payload)),
+        Id.AGENT_CLEANUP: lambda payload: agent.agent_cleanup(),
+        Id.AGENT_MESSAGE: lambda payload: agent.agent_message(unpack_text(payload)),
+    }
+
+
+def _answers_of_environment(environment: Environment) -> Answers:
+    def step(payload: bytes) -> bytes:
+        reward, observation, terminal, *_ = environment.env_step(as_action(unpack(payload)[0]))
+        return struct.pack(">id", terminal, reward) + pack(observation)
+
+    return {
+        Id.ENV_INIT: lambda payload: environment.env_init(),
+        Id.ENV_START: lambda payload: pack(environment.env_start()),
+        Id.ENV_STEP: step,
+        Id.ENV_CLEANUP: lambda payload: environment.env_cleanup(),
+        Id.ENV_MESSAGE: lambda payload: environment.env_message(unpack_text(payload)),
+    }
+
+
+_SENT = {Id.RL_EPISODE: ">I", Id.RL_AGENT_STEP: ">d", Id.RL_AGENT_END: ">d"}
+_RECEIVED = {
+    **dict.fromkeys((Id.RL_STEP, Id.RL_ENV_STEP), ">id"),
+    **dict.fromkeys((Id.RL_EPISODE, Id.RL_NUM_STEPS, Id.RL_NUM_EPISODES), ">i"),
+    Id.RL_RETURN: ">d",
+}
+_TEXTS = (Id.RL_INIT, Id.RL_AGENT_MESSAGE, Id.RL_ENV_MESSAGE)
+
+
+class OriginalExperiment(Experiment):
+    """Our verbs over the connection of an original experiment, which sends no seed."""
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
         connection.send(Id.EXPERIMENT_CONNECTION)
 
-    def _ask(self, message_id: Id, payload: bytes = b"") -> bytes:
-        self.connection.send(message_id, payload)
-        return self._reply(message_id)
-
-    def _ask_text(self, message_id: Id, text: str | None) -> str:
-        self.connection.send_text(message_id, text)
-        return unpack_text(self._reply(message_id))
-
-    def _reply(self, message_id: Id) -> bytes:
-        answered, payload = self.connection.receive()
-        assert answered == message_id, f"{message_id!r} was asked, {answered} answered"
-        return payload
-
-    def init(self) -> str:
-        """RL_init: return the task spec."""
-        return unpack_text(self._ask(Id.RL_INIT))
-
-    def start(self) -> tuple[Numbers, Numbers]:
-        """RL_start: return observation and action."""
-        payload = self._ask(Id.RL_START)
-        observation, offset = unpack_numbers(payload)
-        return observation, unpack_numbers(payload, offset)[0]
-
-    def step(self) -> tuple[float, Numbers, int, Numbers]:
-        """RL_step: return reward, observation, terminal and action."""
-        payload = self._ask(Id.RL_STEP)
-        terminal, reward = struct.unpack_from(">id", payload)
-        observation, offset = unpack_numbers(payload, 12)
-        return reward, observation, terminal, unpack_numbers(payload, offset)[0]
-
-    def cleanup(self) -> None:
-        """RL_cleanup."""
-        assert self._ask(Id.RL_CLEANUP) == b""
-
-    def episode_return(self) -> float:
-        """RL_return."""
-        (value,) = struct.unpack(">d", self._ask(Id.RL_RETURN))
-        return float(value)
-
-    def num_steps(self) -> int:
-        """RL_num_steps."""
-        (value,) = struct.unpack(">i", self._ask(Id.RL_NUM_STEPS))
-        return int(value)
-
-    def num_episodes(self) -> int:
-        """RL_num_episodes."""
-        (value,) = struct.unpack(">i", self._ask(Id.RL_NUM_EPISODES))
-        return int(value)
-
-    def episode(self, max_steps: int) -> int:
-        """RL_episode: return terminal."""
-        (terminal,) = struct.unpack(">i", self._ask(Id.RL_EPISODE, struct.pack(">I", max_steps)))
-        return int(terminal)
-
-    def agent_message(self, message: str | None) -> str:
-        """RL_agent_message."""
-        return self._ask_text(Id.RL_AGENT_MESSAGE, message)
-
-    def env_message(self, message: str | None) -> str:
-        """RL_env_message."""
-        return self._ask_text(Id.RL_ENV_MESSAGE, message)
-
-    def env_start(self) -> Numbers:
-        """RL_env_start."""
-        return unpack_numbers(self._ask(Id.RL_ENV_START))[0]
-
-    def env_step(self, action: Numbers) -> tuple[float, Numbers, int]:
-        """RL_env_step: return reward, observation and terminal."""
-        payload = self._ask(Id.RL_ENV_STEP, pack_numbers(action))
-        terminal, reward = struct.unpack_from(">id", payload)
-        return reward, unpack_numbers(payload, 12)[0], terminal
-
-    def agent_start(self, observation: Numbers) -> Numbers:
-        """RL_agent_start."""
-        return unpack_numbers(self._ask(Id.RL_AGENT_START, pack_numbers(observation)))[0]
-
-    def agent_step(self, reward: float, observation: Numbers) -> Numbers:
-        """RL_agent_step."""
-        payload = struct.pack(">d", reward) + pack_numbers(observation)
-        return unpack_numbers(self._ask(Id.RL_AGENT_STEP, payload))[0]
-
-    def agent_end(self, reward: float) -> None:
-        """RL_agent_end."""
-        assert self._ask(Id.RL_AGENT_END, struct.pack(">d", reward)) == b""
-
     def close(self) -> None:
         """Leave without a goodbye, as the original experiments do."""
         self.connection.close()
+
+    def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
+        asked = Id[kind.name]
+        if isinstance(body, str):
+            self.connection.send_text(asked, body)
+        else:
+            numbers = b"" if asked is Id.RL_INIT else struct.pack(_SENT.get(asked, ">"), *scalars)
+            self.connection.send(asked, numbers + (b"" if body is None else pack(body)))
+        answered, payload = self.connection.receive()
+        assert answered == asked, f"{asked!r} was asked, {answered} answered"
+        if asked in _TEXTS:
+            return (), unpack_text(payload)
+        form = _RECEIVED.get(asked, ">")
+        at, values = struct.calcsize(form), struct.unpack_from(form, payload)[::-1]
+        shown: list[AbstractType] = []
+        while at < len(payload):
+            value, at = unpack(payload, at)
+            shown.append(value)
+        if shown and asked not in (Id.RL_ENV_START, Id.RL_ENV_STEP):
+            shown[-1] = as_action(shown[-1])
+        return values, shown if len(shown) > 1 else shown[0] if shown else None
 
 
 def probe(port: int, host: str = "127.0.0.1") -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import pytest
@@ -13,18 +14,22 @@ import zmq
 from glue.client.experiment import RemoteExperiment, connect
 from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
-from glue.engine.experiment import Experiment
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy import peers
 from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPeer
 from glue.roles import Agent, Environment
-from glue.types import Action, Observation
 from glue.wire.limits import MAX_BODY
-from glue.wire.messages import Kind, Message, Value
-from tests.system.legacy import legacy_client
-from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, Style, play_agent, play_environment
+from glue.wire.messages import Message
+from tests.system.legacy.legacy_client import (
+    STYLES,
+    TIMEOUT,
+    Connection,
+    OriginalExperiment,
+    Style,
+    play,
+)
 from tests.system.runs import wait_until
 
 C = STYLES["c"]
@@ -77,15 +82,15 @@ class Rig:
         """Connect as an original program does."""
         return Connection(self.port(session), style)
 
-    def experiment(self, style: Style = C, session: str = "default") -> legacy_client.Experiment:
+    def experiment(self, style: Style = C, session: str = "default") -> OriginalExperiment:
         """Connect as an original experiment."""
-        return legacy_client.Experiment(self.connect(style, session))
+        return OriginalExperiment(self.connect(style, session))
 
     def settle(self) -> None:
         """Wait until the hub has acted on everything it has received so far."""
         aside = self.experiment(session=_ASIDE)
         for _ in range(2):
-            aside.num_steps()
+            aside.rl_num_steps()
         aside.close()
 
     def wait_until_empty(self, session: str) -> None:
@@ -95,38 +100,22 @@ class Rig:
         long as a request may take.
         """
         self.settle()
-        wait_until(lambda: session not in self.hub.switchboard._sessions, f"{session!r} to be empty")
+        wait_until(lambda: session not in self.hub.sessions._by_name, f"{session!r} to be empty")
 
     def native(self, session: str = "default") -> RemoteExperiment:
         """Connect as one of our experiments."""
         return connect(self.url, session, context=self._context)
 
-    def disguised(self, style: Style = C, session: str = "default") -> DisguisedExperiment:
-        """Connect as an original experiment with our verbs."""
-        return DisguisedExperiment(self.experiment(style, session))
+    def originals(self, *players: Agent | Environment, style: Style = C, session: str = "default") -> None:
+        """Let players play as original programs, each in a thread."""
+        for player in players:
+            self._start(partial(play, player, self.connect(style, session)))
 
-    def agent(self, agent: Agent, style: Style = C, session: str = "default") -> None:
-        """Let an agent play as an original program, in a thread."""
-        self.serve_agent(agent, self.connect(style, session))
-
-    def serve_agent(self, agent: Agent, connection: Connection) -> None:
-        """Let an agent play as an original program over a connection that the test controls."""
-        self._start(lambda: play_agent(agent, connection))
-
-    def environment(self, environment: Environment, style: Style = C, session: str = "default") -> None:
-        """Let an environment play as an original program, in a thread."""
-        connection = self.connect(style, session)
-        self._start(lambda: play_environment(environment, connection))
-
-    def native_agent(self, agent: Agent, session: str = "default") -> None:
-        """Let one of our agents play, in a thread."""
-        url, context = self.url, self._context
-        self._start(lambda: serve_agent(agent, url, session, context=context))
-
-    def native_environment(self, environment: Environment, session: str = "default") -> None:
-        """Let one of our environments play, in a thread."""
-        url, context = self.url, self._context
-        self._start(lambda: serve_environment(environment, url, session, context=context))
+    def ours(self, *players: Agent | Environment, session: str = "default") -> None:
+        """Let our players play, each in a thread."""
+        for player in players:
+            serve: Any = serve_agent if isinstance(player, Agent) else serve_environment
+            self._start(partial(serve, player, self.url, session, context=self._context))
 
     def _start(self, program: Callable[[], object]) -> None:
         def run() -> None:
@@ -186,7 +175,7 @@ def _true_accounts() -> Iterator[None]:
         connection = peer._connection
         kept = peer._decoder.buffered + connection.unsent + peer._kept()
         used = 0 if connection.closed else peers._BASE + kept
-        held = peer._switchboard.memory.held.get(peer, 0)
+        held = peer._sessions.memory.accounts.get(peer, 0)
         if held != used:
             wrong.append(f"{type(peer).__name__} uses {used} bytes and accounts for {held}")
 
@@ -210,43 +199,3 @@ def _true_accounts() -> Iterator[None]:
         patched.setattr(LegacyPeer, "deliver", checked_delivery)
         yield
     assert not wrong
-
-
-class DisguisedExperiment(Experiment):
-    """Our verbs, over the connection of an original experiment."""
-
-    def __init__(self, experiment: legacy_client.Experiment) -> None:
-        self._experiment = experiment
-
-    def close(self) -> None:
-        self._experiment.close()
-
-    def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
-        glue = self._experiment
-        match kind:
-            case Kind.RL_INIT:
-                return (), glue.init()
-            case Kind.RL_START:
-                observation, action = glue.start()
-                return (), (Observation(*observation), Action(*action))
-            case Kind.RL_STEP:
-                reward, observation, terminal, action = glue.step()
-                return (reward, bool(terminal)), (Observation(*observation), Action(*action))
-            case Kind.RL_EPISODE:
-                (max_steps,) = scalars
-                assert isinstance(max_steps, int)
-                return (bool(glue.episode(max_steps)),), None
-            case Kind.RL_RETURN:
-                return (glue.episode_return(),), None
-            case Kind.RL_NUM_STEPS:
-                return (glue.num_steps(),), None
-            case Kind.RL_NUM_EPISODES:
-                return (glue.num_episodes(),), None
-            case Kind.RL_AGENT_MESSAGE:
-                return (), glue.agent_message(body)
-            case Kind.RL_ENV_MESSAGE:
-                return (), glue.env_message(body)
-            case Kind.RL_CLEANUP:
-                glue.cleanup()
-                return (), None
-        raise AssertionError(f"an original experiment has no {kind.name}")

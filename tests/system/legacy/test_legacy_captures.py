@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 
+from glue.roles import Agent, Environment
 from tests.scripted.peer import ScriptedPeer
 from tests.system.conformance import FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_rig import Rig
 
 CAPTURES = sorted((Path(__file__).parents[2] / "golden" / "captures").glob("*.json"))
 OF_A1_AND_E1 = [path for path in CAPTURES if path.stem in ("c_test_sanity", "c_test_1", "c_test_rl_episode")]
+PLAYERS: dict[str, Agent | Environment] = {"agent": MirrorAgent(), "environment": FiveStepEnvironment()}
 ROLES = ("agent", "environment", "experiment")
 
 
@@ -52,18 +54,8 @@ def test_all_sides_of_one_recording_after_the_other_get_the_bytes_of_the_origina
         replay(capture, rig, *ROLES)
 
 
-def test_recorded_experiments_get_from_our_players_what_they_got_from_the_originals(rig: Rig) -> None:
-    rig.native_agent(MirrorAgent())
-    rig.native_environment(FiveStepEnvironment())
-    for capture in [CAPTURES[-1], *OF_A1_AND_E1]:
-        replay(capture, rig, "experiment")
-
-
-@pytest.mark.parametrize("ours", ["agent", "environment"])
-def test_recorded_players_get_the_same_beside_one_of_ours(rig: Rig, ours: str) -> None:
-    if ours == "agent":
-        rig.native_agent(MirrorAgent())
-    else:
-        rig.native_environment(FiveStepEnvironment())
+@pytest.mark.parametrize("ours", [{"agent", "environment"}, {"agent"}, {"environment"}], ids="+".join)
+def test_recorded_programs_get_the_same_beside_ours(rig: Rig, ours: set[str]) -> None:
+    rig.ours(*(player for role, player in PLAYERS.items() if role in ours))
     for capture in OF_A1_AND_E1:
-        replay(capture, rig, *(role for role in ROLES if role != ours))
+        replay(capture, rig, *(role for role in ROLES if role not in ours))

@@ -10,8 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
-from experiment_runner.meeting.over_hub import listening
-from experiment_runner.meeting.players import HubOptions, Meeting, open_experiment
+from experiment_runner.executors.over_hub import listening
+from experiment_runner.executors.players import open_experiment
+from experiment_runner.executors.settings import HubOptions, Placement
 from experiment_runner.plan.plan import Plan, RoleSweep
 from glue import load_run
 from glue.hub.config import LegacyPort
@@ -21,11 +22,9 @@ from tests.system.legacy.legacy_client import (
     STYLES,
     TIMEOUT,
     Connection,
-    Experiment,
-    play_agent,
-    play_environment,
+    OriginalExperiment,
+    play,
 )
-from tests.system.legacy.legacy_rig import DisguisedExperiment
 from tests.terminal import Terminal
 
 BIND = ("--bind", "tcp://127.0.0.1:*")
@@ -40,10 +39,10 @@ def port(command: Terminal, session: str = "default") -> int:
 def play_case(number: int, pool: ThreadPoolExecutor) -> None:
     """Let three original programs meet at a port, and play."""
     players = (
-        pool.submit(play_agent, CASE.agent(), Connection(number, STYLES["java"])),
-        pool.submit(play_environment, CASE.environment(), Connection(number, STYLES["python"])),
+        pool.submit(play, CASE.agent(), Connection(number, STYLES["java"])),
+        pool.submit(play, CASE.environment(), Connection(number, STYLES["python"])),
     )
-    with DisguisedExperiment(Experiment(Connection(number))) as glue:
+    with OriginalExperiment(Connection(number)) as glue:
         CASE.run(glue)
     for player in players:
         player.result(TIMEOUT)
@@ -54,7 +53,7 @@ def test_a_hub_joins_original_programs_by_their_ports_and_says_goodbye_when_it_i
 ) -> None:
     ports = ("--legacy-port", "*", "--legacy-port", "*=other")
     with closing(Terminal("glue-hub", *BIND, *ports, cwd=tmp_path)) as hub, ThreadPoolExecutor() as pool:
-        waiting = pool.submit(play_agent, CASE.agent(), Connection(port(hub, "other")))
+        waiting = pool.submit(play, CASE.agent(), Connection(port(hub, "other")))
         play_case(port(hub), pool)
         hub.wait_for("session 'other': agent")
         hub.send_signal(signal.SIGTERM)
@@ -67,7 +66,7 @@ def test_each_trial_takes_another_original_agent_and_all_are_one_setting(tmp_pat
     with closing(Terminal("glue-experiment", *options.split(), *BIND, cwd=tmp_path)) as experiment:
         for style in ("python", "java"):
             agent = ScriptedAgent()
-            play_agent(agent, Connection(port(experiment), STYLES[style]))
+            play(agent, Connection(port(experiment), STYLES[style]))
             # Truncated after its first step, an episode ends without a call.
             assert [call.split()[0] for call in agent.calls[1:-1]] == ["agent_start"] * 2
         assert experiment.end() == 0, experiment.lines
@@ -78,12 +77,12 @@ def test_an_original_agent_that_connects_before_there_is_a_hub_joins_the_first_t
     here = LegacyPort(0)
     options = HubOptions(bind=("tcp://127.0.0.1:*",), legacy=(here,))
     plan = Plan(episodes=1, trials=2, environments=(RoleSweep("skeleton"),))
-    lines: list[str] = []
-    with listening(plan, Meeting(hub=options), lines.append) as meeting, ThreadPoolExecutor() as pool:
-        number = meeting.opened_legacy[here].port
+    said: list[object] = []
+    with listening(plan, Placement(hub=options), said.append) as placement, ThreadPoolExecutor() as pool:
+        number = placement.opened_legacy[here].port
         for spec in plan.expand():
-            agent = pool.submit(play_agent, SCENARIOS["skeleton"].agent(), Connection(number))
-            with open_experiment(spec, meeting, lines.append, lambda: 0) as glue:
+            agent = pool.submit(play, SCENARIOS["skeleton"].agent(), Connection(number))
+            with open_experiment(spec, placement, said.append, lambda: 0) as glue:
                 glue.rl_init()
                 assert glue.rl_episode(9) in (True, False)
             agent.result(TIMEOUT)
@@ -93,13 +92,13 @@ def test_a_hub_out_of_descriptors_serves_those_it_has_and_later_the_others(tmp_p
     options = (*BIND, "--legacy-port", "*", "--legacy-port", "*=other")
     with closing(Terminal("glue-hub", *options, cwd=tmp_path)) as hub, ThreadPoolExecutor() as pool:
         number = port(hub)
-        with closing(Experiment(Connection(port(hub, "other")))) as inside:
-            assert inside.num_steps() == 0
+        with closing(OriginalExperiment(Connection(port(hub, "other")))) as inside:
+            assert inside.rl_num_steps() == 0
             most = 10 + max(map(int, os.listdir(f"/proc/{hub.process.pid}/fd")))
             resource.prlimit(hub.process.pid, resource.RLIMIT_NOFILE, (most, most))
             crowd = [socket.create_connection(("127.0.0.1", number), TIMEOUT) for _ in range(20)]
             hub.wait_for("cannot accept a connection for now")
-            assert inside.num_steps() == 0
+            assert inside.rl_num_steps() == 0
             for connection in crowd:
                 connection.close()
             play_case(number, pool)

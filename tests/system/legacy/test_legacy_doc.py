@@ -19,7 +19,7 @@ from glue.types import Action, Observation
 from tests.pages import DOCS, section
 from tests.players import ScriptedEnvironment
 from tests.system.conformance import MirrorAgent
-from tests.system.legacy.legacy_client import STYLES, Connection, Id, play_agent
+from tests.system.legacy.legacy_client import STYLES, Connection, Id, play
 from tests.system.legacy.legacy_rig import gateway
 from tests.terminal import Terminal
 
@@ -110,25 +110,25 @@ def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
         ]
         second = second.replace("4097", found[0])
         with closing(Terminal(*shlex.split(second), cwd=tmp_path)) as experiment:
-            play_agent(Runner(), Connection(int(found[2]), STYLES["java"], timeout=COMPILATION))
+            play(Runner(), Connection(int(found[2]), STYLES["java"], timeout=COMPILATION))
             assert experiment.end() == 0
             experiment.wait_for(r"/mario/0 .* 3/3 ")
         for line in re.findall(rf"^    {TIME} (session .*)$", text, re.MULTILINE):
             hub.wait_for(rf"^{TIME} {re.escape(line).replace('41360', NUMBER)}")
     with closing(Terminal(*shlex.split(alone), *BIND, "--out", "alone", cwd=tmp_path)) as experiment:
         port = int(experiment.wait_for(r"programs .*on 127\.0\.0\.1:(\d+)")[1])
-        play_agent(Runner(), Connection(port, STYLES["c"]))
+        play(Runner(), Connection(port, STYLES["c"]))
         assert experiment.end() == 0
 
 
 def test_an_original_experiment_and_environment_are_shown_no_terminal_after_a_truncation() -> None:
     environment = ScriptedEnvironment(length=5)
     with gateway() as rig:
-        rig.agent(MirrorAgent())
-        rig.environment(environment)
+        rig.originals(MirrorAgent())
+        rig.originals(environment)
         glue = rig.experiment()
-        glue.init()
+        glue.rl_init()
         for _ in range(2):
-            assert (glue.episode(3), glue.num_steps()) == (0, 3)
+            assert (glue.rl_episode(3), glue.rl_num_steps()) == (0, 3)
         glue.close()
     assert [call.split()[0] for call in environment.calls[1:]] == ["env_start", "env_step", "env_step"] * 2

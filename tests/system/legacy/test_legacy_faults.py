@@ -15,12 +15,13 @@ import pytest
 
 from glue.client.experiment import RemoteExperiment
 from glue.errors import HubClosed, LocalProtocolError, PeerFailed, PeerLost
+from glue.hub.channel import Channel
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
-from glue.hub.peer import Route
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPlayer
+from glue.roles import Agent, Environment
 from glue.types import Action, Observation
 from glue.wire.messages import Kind, Message
 from tests import weighing
@@ -31,16 +32,16 @@ from tests.system.legacy.legacy_client import (
     Closed,
     Connection,
     Die,
-    Experiment,
     Id,
-    Numbers,
-    pack_numbers,
+    OriginalExperiment,
+    pack,
     probe,
 )
 from tests.system.legacy.legacy_rig import Log, Rig, gateway
 
 ROLES = (Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION)
-EMPTY = pack_numbers(Numbers())
+EMPTY = pack(Action())
+HEALTHY = (MirrorAgent, FiveStepEnvironment)
 TERMINATE = struct.pack(">iI", Id.RL_TERM, 0)
 
 
@@ -65,9 +66,8 @@ def assert_reset(connection: Connection) -> None:
 
 def run_test_1(rig: Rig, session: str = "default") -> None:
     """Let an original trio show that everything works."""
-    rig.agent(MirrorAgent(), session=session)
-    rig.environment(FiveStepEnvironment(), session=session)
-    with rig.disguised(session=session) as glue:
+    rig.originals(MirrorAgent(), FiveStepEnvironment(), session=session)
+    with rig.experiment(session=session) as glue:
         SCENARIOS["test_1"].run(glue)
     rig.join()
 
@@ -90,35 +90,38 @@ class MortalEnvironment(FiveStepEnvironment):
         return super().env_step(action)
 
 
-def let_die(rig: Rig, mortal: str) -> None:
+MORTALS = (MortalAgent, MortalEnvironment)
+
+
+def let_die(rig: Rig, mortal: type[Agent | Environment]) -> None:
     """Let two original players play, one of them mortal."""
-    rig.agent(MortalAgent() if mortal == "agent" else MirrorAgent())
-    rig.environment(MortalEnvironment() if mortal == "environment" else FiveStepEnvironment())
+    rig.originals(*(mortal() if issubclass(mortal, each) else each() for each in HEALTHY))
 
 
-def send_another(rig: Rig, mortal: str) -> None:
+def send_another(rig: Rig, mortal: type[Agent | Environment]) -> None:
     """Let a healthy player replace the mortal one."""
-    if mortal == "agent":
-        rig.agent(MirrorAgent())
-    else:
-        rig.environment(FiveStepEnvironment())
+    rig.originals(*(each() for each in HEALTHY if issubclass(mortal, each)))
 
 
-@pytest.mark.parametrize("mortal", ["agent", "environment"])
-def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(rig: Rig, mortal: str) -> None:
+@pytest.mark.parametrize("mortal", MORTALS)
+def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(
+    rig: Rig, mortal: type[Agent | Environment]
+) -> None:
     let_die(rig, mortal)
     glue = rig.experiment()
-    glue.init()
+    glue.rl_init()
     glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
     rig.log.wait_for("to begin RL_EPISODE again")
     send_another(rig, mortal)
     assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
-    assert (glue.num_steps(), glue.num_episodes(), glue.episode_return()) == (5, 1, 5.0)
+    assert (glue.rl_num_steps(), glue.rl_num_episodes(), glue.rl_return()) == (5, 1, 5.0)
     glue.close()
 
 
-@pytest.mark.parametrize("mortal", ["agent", "environment"])
-def test_our_experiment_is_notified_of_the_void_episode_and_continues(rig: Rig, mortal: str) -> None:
+@pytest.mark.parametrize("mortal", MORTALS)
+def test_our_experiment_is_notified_of_the_void_episode_and_continues(
+    rig: Rig, mortal: type[Agent | Environment]
+) -> None:
     let_die(rig, mortal)
     with rig.native() as glue:
         glue.rl_init()
@@ -129,29 +132,29 @@ def test_our_experiment_is_notified_of_the_void_episode_and_continues(rig: Rig, 
         assert (glue.rl_num_steps(), glue.rl_num_episodes()) == (5, 1)
 
 
-@pytest.mark.parametrize("mortal", ["agent", "environment"])
+@pytest.mark.parametrize("mortal", MORTALS)
 def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_stays(
-    rig: Rig, mortal: str
+    rig: Rig, mortal: type[Agent | Environment]
 ) -> None:
     let_die(rig, mortal)
     glue = rig.experiment()
-    glue.init()
-    glue.start()
-    assert glue.step()[2] == glue.step()[2] == 0
+    glue.rl_init()
+    glue.rl_start()
+    assert glue.rl_step().terminal == glue.rl_step().terminal == 0
     with pytest.raises(ConnectionResetError):
-        glue.step()
+        glue.rl_step()
     glue.close()
     rig.log.wait_for("was cut off: its protocol cannot say that RL_STEP failed")
     send_another(rig, mortal)
     glue = rig.experiment()
-    glue.init()
-    assert glue.episode(0) == 1
+    glue.rl_init()
+    assert glue.rl_episode(0) == 1
     glue.close()
 
 
 def test_a_player_lost_between_episodes_is_replaced_silently(rig: Rig) -> None:
     calls: list[str] = []
-    rig.native_agent(ScriptedAgent(calls))
+    rig.ours(ScriptedAgent(calls))
     environment = join(rig, Id.ENVIRONMENT_CONNECTION)
     glue = rig.experiment()
     glue.connection.send(Id.RL_INIT)
@@ -160,15 +163,15 @@ def test_a_player_lost_between_episodes_is_replaced_silently(rig: Rig) -> None:
     assert glue.connection.receive()[0] == Id.RL_INIT
     environment.close()
     rig.log.wait_for("closed its connection")  # although no call was outstanding
-    rig.environment(FiveStepEnvironment())
-    assert glue.episode(0) == 1
+    rig.originals(FiveStepEnvironment())
+    assert glue.rl_episode(0) == 1
     assert calls[0] == "agent_init sample task spec"
     glue.close()
 
 
 @pytest.mark.parametrize("request_id", [Id.RL_INIT, Id.RL_START, Id.RL_CLEANUP, Id.RL_ENV_MESSAGE])
 def test_any_call_that_can_be_made_anew_is(rig: Rig, request_id: Id) -> None:
-    rig.agent(MirrorAgent())
+    rig.originals(MirrorAgent())
     environment = join(rig, Id.ENVIRONMENT_CONNECTION)
     glue = rig.experiment()
     if request_id == Id.RL_ENV_MESSAGE:
@@ -177,15 +180,15 @@ def test_any_call_that_can_be_made_anew_is(rig: Rig, request_id: Id) -> None:
         glue.connection.send(request_id)
     environment.receive()
     environment.reset()
-    rig.environment(FiveStepEnvironment())
+    rig.originals(FiveStepEnvironment())
     assert glue.connection.receive()[0] == request_id
     glue.close()
 
 
-ONE = pack_numbers(Numbers((1,)))
+ONE = pack(Action([1]))
 
 
-def void_the_start(rig: Rig, observation: bytes = ONE) -> tuple[Connection, Connection, Experiment]:
+def void_the_start(rig: Rig, observation: bytes = ONE) -> tuple[Connection, Connection, OriginalExperiment]:
     """Return agent, environment, experiment: the agent is still at work on a start that was made again."""
     agent, environment = join(rig, Id.AGENT_CONNECTION), join(rig, Id.ENVIRONMENT_CONNECTION)
     glue = rig.experiment()
@@ -205,17 +208,17 @@ def void_the_start(rig: Rig, observation: bytes = ONE) -> tuple[Connection, Conn
 
 def test_an_agent_that_still_thinks_about_a_void_step_is_sent_nothing_until_it_has_answered(rig: Rig) -> None:
     agent, environment, glue = void_the_start(rig)
-    agent.send(Id.AGENT_START, pack_numbers(Numbers((100,))))
+    agent.send(Id.AGENT_START, pack(Action([100])))
     assert agent.receive() == (Id.AGENT_START, ONE)
-    agent.send(Id.AGENT_START, pack_numbers(Numbers((101,))))
-    assert glue.connection.receive() == (Id.RL_START, ONE + pack_numbers(Numbers((101,))))
+    agent.send(Id.AGENT_START, pack(Action([101])))
+    assert glue.connection.receive() == (Id.RL_START, ONE + pack(Action([101])))
     glue.close()
     for player in (agent, environment):
         assert ending(player) == TERMINATE
 
 
 def test_a_call_that_had_to_wait_is_kept_no_longer_than_the_session_keeps_it(rig: Rig) -> None:
-    large = pack_numbers(Numbers((1,) * 30_000))
+    large = pack(Action([1] * 30_000))
     agent, environment, glue = void_the_start(rig, large)
     agent.send(Id.AGENT_START, EMPTY)
     assert agent.receive() == (Id.AGENT_START, large)
@@ -287,15 +290,15 @@ def test_a_silent_connection_is_dropped_after_the_timeout() -> None:
 
 def test_a_port_probe_is_not_noticed_at_any_time(rig: Rig) -> None:
     probe(rig.port())
-    rig.agent(MirrorAgent())
+    rig.originals(MirrorAgent())
     probe(rig.port())
-    rig.environment(FiveStepEnvironment())
+    rig.originals(FiveStepEnvironment())
     rig.connect().reset()
     glue = rig.experiment()
     probe(rig.port())
-    glue.init()
+    glue.rl_init()
     probe(rig.port())
-    assert glue.episode(0) == 1
+    assert glue.rl_episode(0) == 1
     rig.connect().reset()
     glue.close()
     rig.join()
@@ -321,13 +324,13 @@ def test_no_session_has_more_than_one_request_taken_up_in_a_turn(monkeypatch: py
     turns = Counter[tuple[str, float]]()
     hub = Hub(HubConfig(("tcp://127.0.0.1:*",)))
     (port,) = Gateway(hub, [LegacyPort(0)]).ports
-    receive = hub.switchboard.receive
+    receive = hub.sessions.receive
 
-    def note(route: Route, message: Message, now: float) -> None:
+    def note(channel: Channel, message: Message, now: float) -> None:
         turns[message.kind.name, now] += 1  # `now` does not change within a turn of the loop
-        receive(route, message, now)
+        receive(channel, message, now)
 
-    monkeypatch.setattr(hub.switchboard, "receive", note)
+    monkeypatch.setattr(hub.sessions, "receive", note)
     greedy = Connection(port.port)
     greedy.send(Id.EXPERIMENT_CONNECTION)
     greedy.send_raw(struct.pack(">iI", Id.RL_NUM_STEPS, 0) * 500)
@@ -339,10 +342,9 @@ def test_no_session_has_more_than_one_request_taken_up_in_a_turn(monkeypatch: py
 
 
 def test_all_requests_before_a_half_close_are_answered_behind_calls_of_players_too(rig: Rig) -> None:
-    rig.agent(MirrorAgent())
-    rig.environment(FiveStepEnvironment())
+    rig.originals(MirrorAgent(), FiveStepEnvironment())
     glue = rig.experiment()
-    glue.init()
+    glue.rl_init()
     requests = [(Id.RL_START, b""), *[(Id.RL_STEP, b"")] * 4, (Id.RL_EPISODE, struct.pack(">i", 0))] * 20
     glue.connection.send_raw(b"".join(struct.pack(">iI", kind, len(body)) + body for kind, body in requests))
     glue.connection.close_writing()
@@ -371,19 +373,18 @@ def test_requests_before_a_half_close_wait_for_no_player_longer_than_the_timeout
 
 @pytest.mark.parametrize("role", ROLES)
 def test_a_second_of_a_role_is_turned_away_and_the_first_stays(rig: Rig, role: Id) -> None:
-    rig.agent(MirrorAgent())
-    rig.environment(FiveStepEnvironment())
+    rig.originals(MirrorAgent(), FiveStepEnvironment())
     glue = rig.experiment()
-    glue.init()
-    glue.start()
+    glue.rl_init()
+    glue.rl_start()
     second = join(rig, role)
     if role == Id.EXPERIMENT_CONNECTION:
         assert_reset(second)
     else:
         assert ending(second) == TERMINATE
     rig.log.wait_for("refused a peer of session 'default'")
-    assert glue.step()[2] == 0
-    assert glue.agent_message("still there") == "still there|1.|still there"
+    assert glue.rl_step().terminal == 0
+    assert glue.rl_agent_message("still there") == "still there|1.|still there"
     glue.close()
 
 
@@ -414,7 +415,7 @@ WRONG_ANSWERS = {
 def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_run_again(
     rig: Rig, wrong: str
 ) -> None:
-    rig.native_environment(ScriptedEnvironment())
+    rig.ours(ScriptedEnvironment())
     liar = join(rig, Id.AGENT_CONNECTION)
     glue = rig.experiment()
     glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
@@ -424,9 +425,9 @@ def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_ru
     message_id, payload = WRONG_ANSWERS[wrong]
     liar.send(message_id, payload)
     assert ending(liar) == TERMINATE
-    rig.agent(MirrorAgent())
+    rig.originals(MirrorAgent())
     assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
-    assert glue.num_steps() == 3
+    assert glue.rl_num_steps() == 3
     glue.close()
 
 
@@ -444,10 +445,10 @@ def let_our_environment_raise() -> None:
             raise LocalProtocolError("fell over")
 
     with gateway() as rig:
-        rig.native_environment(ScriptedEnvironment(before=fall))
-        rig.agent(MirrorAgent())
+        rig.ours(ScriptedEnvironment(before=fall))
+        rig.originals(MirrorAgent())
         glue = rig.experiment()
-        glue.init()
+        glue.rl_init()
         glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
         assert_reset(glue.connection)
         rig.log.wait_for("cannot say that RL_EPISODE failed: environment ScriptedEnvironment")
@@ -459,7 +460,7 @@ def test_an_original_experiment_is_cut_off_when_a_player_of_ours_raises() -> Non
 
 
 def test_what_an_original_experiment_cannot_be_sent_cuts_it_off(rig: Rig) -> None:
-    rig.native_agent(LongWinded())
+    rig.ours(LongWinded())
     glue = rig.experiment()
     glue.connection.send_text(Id.RL_AGENT_MESSAGE, "tell me")
     assert_reset(glue.connection)
@@ -475,12 +476,12 @@ class LongWinded(ScriptedAgent):
 
 def test_an_experiment_that_does_not_read_is_not_answered_any_further(rig: Rig) -> None:
     calls: list[str] = []
-    rig.native_environment(BigEnvironment(calls=calls))
+    rig.ours(BigEnvironment(calls=calls))
     glue = rig.experiment()
     count = 200
     for _ in range(count):
         glue.connection.send(Id.RL_ENV_START)
-    rig.native_agent(ScriptedAgent(), session="other")
+    rig.ours(ScriptedAgent(), session="other")
     with rig.native("other") as other:
         for _ in range(2 * count):
             other.rl_agent_message("how are you?")
@@ -515,7 +516,7 @@ def test_a_hub_that_ends_lets_an_agent_finish_its_thought() -> None:
         ended.set()
 
     with gateway() as rig:
-        rig.agent(Thinker())
+        rig.originals(Thinker())
         asking = threading.Thread(target=ask, args=(rig.native(),))
         asking.start()
         assert begun.wait(TIMEOUT)
@@ -542,8 +543,7 @@ FAULTY = "faulty"
 def pair() -> Iterator[Rig]:
     """A hub with a session that plays, and another one without players."""
     with gateway("default", FAULTY, max_body=2**18, max_memory=2**20) as rig:
-        rig.agent(MirrorAgent())
-        rig.environment(FiveStepEnvironment())
+        rig.originals(MirrorAgent(), FiveStepEnvironment())
         rig.log.wait_for("joined", times=2)
         yield rig
 
@@ -561,8 +561,8 @@ def check_ended(connection: Connection) -> None:
 def play(rig: Rig) -> None:
     """Play an episode in the session without the fault."""
     experiment = rig.experiment()
-    experiment.init()
-    assert experiment.episode(0) == 1
+    experiment.rl_init()
+    assert experiment.rl_episode(0) == 1
     experiment.close()
 
 
@@ -600,7 +600,7 @@ def test_an_error_in_a_delivery_costs_the_receiver_and_not_the_sender(
     with pair.native(FAULTY) as experiment:
         # All have joined; from now on the hub waits only briefly for one that cannot be reached.
         monkeypatch.setattr(
-            pair.hub.switchboard, "_config", replace(pair.hub.config, heartbeat=0.1, timeout=0.1)
+            pair.hub.sessions, "_config", replace(pair.hub.config, heartbeat=0.1, timeout=0.1)
         )
         with pytest.raises(PeerLost, match="unreachable"):
             experiment.rl_agent_message("hello")

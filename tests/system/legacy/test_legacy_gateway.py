@@ -12,10 +12,10 @@ from env_server.toys import MinesEnvironment
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import PeerFailed
-from glue.types import Action, Observation
+from glue.types import Action, Observation, Step
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent, Seen
-from tests.system.legacy.legacy_client import STYLES, Id, Numbers
+from tests.system.legacy.legacy_client import STYLES, Id
 from tests.system.legacy.legacy_rig import Rig
 
 CHECKED = sorted(SCENARIOS.keys() - {"test_speed"})
@@ -25,9 +25,8 @@ CHECKED = sorted(SCENARIOS.keys() - {"test_speed"})
 def test_the_cases_of_the_original_suites_pass_in_every_style(rig: Rig, style: str) -> None:
     for case in CHECKED:
         scenario = SCENARIOS[case]
-        rig.agent(scenario.agent(), STYLES[style])
-        rig.environment(scenario.environment(), STYLES[style])
-        with rig.disguised(STYLES[style]) as glue:
+        rig.originals(scenario.agent(), scenario.environment(), style=STYLES[style])
+        with rig.experiment(STYLES[style]) as glue:
             scenario.run(glue)
         rig.join()
     assert "malformed" not in str(rig.log), "the last messages included"
@@ -48,51 +47,45 @@ def test_a_mixture_of_ours_and_originals_gives_the_numbers_of_ours(rig: Rig, ori
     # Without a seed from the experiment, which does not reach original programs.
     agents = [SarsaAgent(seed=1) for _ in range(2)]
     environments = [MinesEnvironment(random_start=True, seed=2) for _ in range(2)]
-    if originals & 1:
-        rig.agent(agents[0], STYLES["java"])
-    else:
-        rig.native_agent(agents[0])
-    if originals & 2:
-        rig.environment(environments[0], STYLES["python"])
-    else:
-        rig.native_environment(environments[0])
-    with rig.disguised() if originals & 4 else rig.native() as glue:
+    for bit, player, style in ((1, agents[0], "java"), (2, environments[0], "python")):
+        if originals & bit:
+            rig.originals(player, style=STYLES[style])
+        else:
+            rig.ours(player)
+    with rig.experiment() if originals & 4 else rig.native() as glue:
         seen = learn(glue)
     with local(agents[1], environments[1]) as glue:
         assert seen == learn(glue)
 
 
 def test_every_order_of_joining_works_and_an_experiment_may_call_before_the_others_join(rig: Rig) -> None:
-    for order in itertools.permutations(("agent", "environment", "experiment")):
-        for role in order:
-            if role == "agent":
-                rig.agent(MirrorAgent())
-            elif role == "environment":
-                rig.environment(FiveStepEnvironment())
-            else:
-                glue = rig.experiment()
-                glue.connection.send(Id.RL_INIT)
+    for order in itertools.permutations((MirrorAgent, FiveStepEnvironment, None)):
+        for player in order:
+            if player is not None:
+                rig.originals(player())
+                continue
+            glue = rig.experiment()
+            glue.connection.send(Id.RL_INIT)
         assert glue.connection.receive() == (Id.RL_INIT, struct.pack(">I", 16) + b"sample task spec")
-        assert glue.episode(0) == 1
+        assert glue.rl_episode(0) == 1
         glue.close()
         rig.join()
 
 
 def test_half_steps_go_to_one_side_alone_and_leave_the_last_action_as_it_was(rig: Rig) -> None:
     calls: list[str] = []
-    rig.native_agent(ScriptedAgent(calls))
-    rig.native_environment(ScriptedEnvironment(calls=calls))
+    rig.ours(ScriptedAgent(calls), ScriptedEnvironment(calls=calls))
     glue = rig.experiment()
-    assert glue.init() == "a task"
-    assert glue.env_start() == Numbers((0,))
-    assert glue.agent_start(Numbers((5,))) == Numbers((105,))
-    assert glue.env_step(Numbers((7,), (0.5,), b"x")) == (1.0, Numbers((1,)), 0)
-    assert (glue.num_steps(), glue.episode_return(), glue.num_episodes()) == (2, 1.0, 0)
-    assert glue.agent_step(-0.0, Numbers((6,))) == Numbers((106,))
-    assert glue.step() == (1.0, Numbers((2,)), 0, Numbers((102,)))
-    assert glue.env_step(Numbers((8,))) == (1.0, Numbers((3,)), 1)
-    glue.agent_end(2.5)
-    assert (glue.num_steps(), glue.episode_return(), glue.num_episodes()) == (3, 3.0, 1)
+    assert glue.rl_init() == "a task"
+    assert glue.rl_env_start() == Observation([0])
+    assert glue.rl_agent_start(Observation([5])) == Action([105])
+    assert glue.rl_env_step(Action([7], [0.5], b"x")) == Step(1.0, Observation([1]), False)
+    assert (glue.rl_num_steps(), glue.rl_return(), glue.rl_num_episodes()) == (2, 1.0, 0)
+    assert glue.rl_agent_step(-0.0, Observation([6])) == Action([106])
+    assert glue.rl_step() == Step(1.0, Observation([2]), False, action=Action([102]))
+    assert glue.rl_env_step(Action([8])) == Step(1.0, Observation([3]), True)
+    glue.rl_agent_end(2.5)
+    assert (glue.rl_num_steps(), glue.rl_return(), glue.rl_num_episodes()) == (3, 3.0, 1)
     assert calls[2:] == [
         "env_start",
         "agent_start [5]",
@@ -108,48 +101,47 @@ def test_half_steps_go_to_one_side_alone_and_leave_the_last_action_as_it_was(rig
 
 def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> None:
     calls: list[str] = []
-    rig.native_agent(ScriptedAgent(calls))
-    rig.environment(FiveStepEnvironment())
+    rig.ours(ScriptedAgent(calls))
+    rig.originals(FiveStepEnvironment())
     glue = rig.experiment()
-    glue.init()
+    glue.rl_init()
     glue.close()
     rig.log.wait_for("was dismissed")
-    rig.environment(FiveStepEnvironment())
+    rig.originals(FiveStepEnvironment())
     glue = rig.experiment()
-    glue.init()
+    glue.rl_init()
     glue.close()
     assert calls == ["agent_init sample task spec"] * 2
 
 
 def test_an_episode_counts_as_steps_only_if_it_went_on_after_one(rig: Rig) -> None:
     environment = ScriptedEnvironment(length=1)
-    rig.native_agent(ScriptedAgent())
-    rig.native_environment(environment)
+    rig.ours(ScriptedAgent())
+    rig.ours(environment)
     glue = rig.experiment()
-    glue.init()
-    for length, max_steps, expected in ((1, 0, Numbers()), (2, 1, Numbers()), (2, 2, Numbers((100,)))):
+    glue.rl_init()
+    for length, max_steps, expected in ((1, 0, Action()), (2, 1, Action()), (2, 2, Action([100]))):
         environment.length = length
-        glue.episode(max_steps)
+        glue.rl_episode(max_steps)
         environment.length = 1
-        glue.start()
-        assert glue.step()[3] == expected
+        glue.rl_start()
+        assert glue.rl_step().action == expected
     glue.close()
 
 
 def test_bytes_that_are_not_utf8_pass_unchanged(rig: Rig) -> None:
-    rig.native_agent(SCENARIOS["test_message"].agent())
+    rig.ours(SCENARIOS["test_message"].agent())
     glue = rig.experiment()
-    assert glue.agent_message("\udcff\udc80") == "\udcff\udc80"
+    assert glue.rl_agent_message("\udcff\udc80") == "\udcff\udc80"
     glue.close()
 
 
 def test_a_million_of_each_is_the_maximum_an_original_is_sent(rig: Rig) -> None:
     count = 1_000_000
-    numbers = Numbers((1,) * count, (), b"c" * count)
-    rig.agent(MirrorAgent())
-    rig.native_environment(ScriptedEnvironment())
+    rig.originals(MirrorAgent())
+    rig.ours(ScriptedEnvironment())
     with rig.native() as glue:
-        action = glue.rl_agent_start(Observation(*numbers))
+        action = glue.rl_agent_start(Observation([1] * count, [], b"c" * count))
         assert action.counts == (count, 0, count)
         with pytest.raises(PeerFailed, match="at most 1000000 of each"):
             glue.rl_agent_start(Observation(chars=bytes(count + 1)))

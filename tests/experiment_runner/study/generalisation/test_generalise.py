@@ -62,7 +62,9 @@ def test_sets_hold_all_types_and_difficulties_and_do_not_meet() -> None:
 
 def test_first_levels_of_a_set() -> None:
     assert level_set("test-1000:10").numbers == range(1_000_000, 1_000_010)
-    assert level_set("ladder-v1:3").difficulties == 16
+    ladder = level_set("ladder-v1:3")
+    assert isinstance(ladder, LevelSet)
+    assert ladder.difficulties == 16
     for wrong in ("test-1000:0", "test-1000:1001", "test-1000:-1", "test-1000:", "test-1000:x"):
         with pytest.raises(ConfigError):
             level_set(wrong)

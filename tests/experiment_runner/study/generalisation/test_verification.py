@@ -1,4 +1,4 @@
-"""Scores verified by replay, certificates, noise, and the study of unknown constants."""
+"""Scores verified by replay, files of scores, and noise."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import pytest
 from click.testing import CliRunner
 
 from env_server.mario.level_sets import LEVEL_SETS, LevelSet
-from experiment_runner.cli import generalise as command
 from experiment_runner.cli.generalise import generalise
-from experiment_runner.study.generalisation.physics import outcomes, physics_table
+from experiment_runner.study.generalisation import benchmark
+from experiment_runner.study.generalisation.benchmark import read_scores
 from experiment_runner.study.generalisation.players import ACTIONS, Noise, digit_of
-from experiment_runner.study.generalisation.verification import certify, differences, solvable
+from experiment_runner.study.generalisation.verification import differences
 from glue import Action
 from glue.errors import ConfigError
 
@@ -67,39 +67,17 @@ def test_what_cannot_be_replayed_is_refused() -> None:
     assert wrong(document)
 
 
-@pytest.mark.usefixtures("few")
-def test_certificates_reach_the_goal_and_are_kept(tmp_path: Path) -> None:
-    out = tmp_path / "certificates.json"
-    for levels in ("few:2", "few"):
-        done = CliRunner().invoke(generalise, ["certify", levels, "--out", str(out)], catch_exceptions=False)
-        assert done.exit_code == 0, done.output
-    found = json.loads(out.read_text())
-    assert [score["level"] for score in found["trials"][0]["few"]] == [0, 1, 2]
-    assert solvable(found) == {0, 1, 2}
-    assert not wrong(found)
-    again = certify("few", found, lambda document: None)
-    assert again["trials"] == found["trials"]
-    run = ["--agent", "run-right", "--set", "few", "--seed", "1", "--out", str(tmp_path / "run")]
-    shown = CliRunner().invoke(generalise, [*run, "--certificates", str(out)], catch_exceptions=False)
-    assert "goal, if solvable" in shown.stdout
-
-
-@pytest.mark.usefixtures("few")
-def test_compressed_certificates_are_read_and_a_bomb_is_refused(
+def test_a_compressed_file_is_read_and_a_bomb_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "certificates.json.gz"
-    done = CliRunner().invoke(generalise, ["certify", "few:1", "--out", str(out)], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    first = out.read_bytes()
-    assert CliRunner().invoke(generalise, ["verify", str(out)]).exit_code == 0
-    assert CliRunner().invoke(generalise, ["certify", "few:1", "--out", str(out)]).exit_code == 0
-    assert out.read_bytes() == first
-    monkeypatch.setattr(command, "_MOST_BYTES", 2**20)
-    out.write_bytes(gzip.compress(bytes(2**20 + 1)))
-    refused = CliRunner().invoke(generalise, ["verify", str(out)], standalone_mode=False)
-    assert isinstance(refused.exception, ConfigError)
-    assert "longer than" in str(refused.exception)
+    file = tmp_path / "scores.json.gz"
+    scores = {"name": "someone", "sets": [], "train": "", "test": "", "relearn": 0, "trials": []}
+    file.write_bytes(gzip.compress(json.dumps(scores).encode()))
+    assert read_scores(file) == scores
+    monkeypatch.setattr(benchmark, "_MOST_BYTES", 2**20)
+    file.write_bytes(gzip.compress(bytes(2**20 + 1)))
+    with pytest.raises(ConfigError, match="longer than"):
+        read_scores(file)
 
 
 def test_noise_replaces_the_given_share_of_actions_and_is_repeatable() -> None:
@@ -111,14 +89,3 @@ def test_noise_replaces_the_given_share_of_actions_and_is_repeatable() -> None:
     assert set(made) == ACTIONS.keys()
     assert 0.15 < sum(digit != digit_of(action) for digit in made) / len(made) < 0.22
     assert all(Noise(0, 1, 7, 0)(action) is action for _ in range(10))
-
-
-def test_constants_are_identified_in_the_study() -> None:
-    groups = ("instance-7", "random")
-    played = [list(outcomes(group, 2)) for group in groups]
-    for found in played:
-        assert all(one.identified <= 10 for one in found)
-        assert all(one.predicted > 0.9 for one in found)
-    assert "| instance-7 | 2 | 1.000 |" in physics_table(groups, played)
-    with pytest.raises(ConfigError):
-        next(outcomes("instance-10", 1))

@@ -6,13 +6,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, PaperLevel, plan_of
-from experiment_runner.study.paper.figures import figures
-from experiment_runner.study.paper.goals import verdicts
 from experiment_runner.study.paper.outcomes import LevelResults, load
+from experiment_runner.study.paper.report import figures
 from glue.errors import ExperimentError
 
 FloatArray = npt.NDArray[np.float64]
@@ -84,7 +83,7 @@ def test_published_numbers_are_of_the_papers_agent_and_difficulty_alone() -> Non
 def test_load_returns_what_is_there_in_the_order_of_the_experiments(tmp_path: Path) -> None:
     for name in ("4", "sample"):
         plan = plan_of(EXPERIMENTS[name], episodes=2, trials=2)
-        with create_run(tmp_path / name, plan) as store:
+        with open_run(tmp_path / name, plan) as store:
             for number, spec in enumerate(plan.expand()[:3]):
                 for episode in (1, 2):
                     store.record(spec.id, EpisodeResult(episode, float(number), 10, True, 0.5))
@@ -97,59 +96,10 @@ def test_load_returns_what_is_there_in_the_order_of_the_experiments(tmp_path: Pa
 
 
 def test_load_refuses_the_run_of_something_else(tmp_path: Path) -> None:
-    with create_run(tmp_path / "4", Plan(episodes=1, environments=(RoleSweep("mines"),))):
+    with open_run(tmp_path / "4", Plan(episodes=1, environments=(RoleSweep("mines"),))):
         pass
     with pytest.raises(ExperimentError, match="not a run of experiment 4"):
         load(tmp_path)
-
-
-def test_verdicts_hold_what_was_found_against_what_was_required() -> None:
-    given = verdicts(
-        [
-            outcome("sample", constant(134)),
-            outcome("1", constant(20)),
-            outcome("4", learned_at(500, 143.5)),
-            outcome("5", learned_at(600, 143.5)),
-        ]
-    )
-    later = "no later than that of `hierarchical-programmed`"
-    assert {(v.required.split(":")[0], v.required.split(": ", 1)[1]): (v.found, v.met) for v in given} == {
-        ("`sample`", "within 3 of 130.45, the original's reward"): ("134.00", False),
-        ("`tiles`", "fails: less reward than the sample agent"): ("20.00 against 134.00", True),
-        ("`hierarchical-programmed`", "reward of 143.5 or more"): ("143.50", True),
-        ("`hierarchical`", "reward of 144 or more"): ("143.50", False),
-        ("`hierarchical`", "mean curve reached by episode 1000"): ("699", True),
-        ("`hierarchical`", f"mean curve reached {later}"): ("699 against 599", False),
-        ("`hierarchical`", f"median trial reached {later}"): ("699 against 599", False),
-    }
-
-
-def test_verdict_on_spread_and_order_is_against_all_three() -> None:
-    others = [
-        outcome(name, learned_at(at) + np.array([[0.0], [2.0]] * 5))
-        for name, at in (("4", 300), ("5", 90), ("6", 300))
-    ]
-    given = verdicts([*others, outcome("7", learned_at(100) + np.array([[0.0], [1.0]] * 5))])
-    seven = {
-        v.required.split(": ", 1)[1]: (v.found, v.met)
-        for v in given
-        if v.required.startswith("`hierarchical-internal`")
-    }
-    assert seven["mean curve reached by episode 200"] == ("199", True)
-    assert seven["mean curve reached before those of 4, 5 and 6"] == ("199 against 399, 189, 399", False)
-    assert seven["deviation between trials less than theirs"] == ("0.50 against 1.00, 1.00, 1.00", True)
-
-
-@pytest.mark.parametrize("curves", [constant(150, trials=9), constant(150, episodes=4999)])
-def test_part_of_the_study_is_not_judged(curves: FloatArray) -> None:
-    assert {verdict.met for verdict in verdicts([outcome("best", curves)])} == {None}
-
-
-def test_best_is_held_against_goals_at_every_difficulty() -> None:
-    given = verdicts(
-        [outcome("best", constant(120), level=PaperLevel(121, difficulty)) for difficulty in range(4)]
-    )
-    assert [verdict.met for verdict in given] == [False, True, True, True, True]
 
 
 def test_figures_hold_the_levels_and_agents_they_are_for() -> None:

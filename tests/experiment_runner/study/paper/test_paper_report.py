@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from experiment_runner.cli.paper import paper
-from experiment_runner.executors.resume import create_run
+from experiment_runner.executors.opening import open_run
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.study.paper.experiments import EXPERIMENTS, plan_of
@@ -26,7 +26,7 @@ def call(*arguments: object) -> Result:
 def make(out: Path, name: str, reward: float, trials: int = 2, finished: int | None = None) -> None:
     """Make a run of an experiment whose trials have the rewards `reward`, `reward` + 1, and so on."""
     plan = plan_of(EXPERIMENTS[name], episodes=200, trials=trials)
-    with create_run(out / name, plan) as store:
+    with open_run(out / name, plan) as store:
         for number, spec in enumerate(plan.expand()[:finished]):
             for episode in range(1, 201):
                 store.record(spec.id, EpisodeResult(episode, reward + number, 300, True, 0.01))
@@ -59,9 +59,7 @@ def test_tables_show_ours_beside_the_papers(study: Path) -> None:
         "**The paper's level: seed 121, difficulty 0**",
         "**Seed 121, higher difficulties**",
         "**Other level seeds**",
-        "**Required and found**",
     ]
-    assert "less reward than the sample agent | 20.50 against 130.50 | not judged: needs 10 trials" in tables
     # 4 of sample, 4 of experiment 1, 1 of experiment 4, and 22 of experiment 8
     assert tables.endswith("31 trials, 2 million steps, 0.0 hours of one core.\n")
 
@@ -134,7 +132,7 @@ def test_report_without_episodes_is_an_error(tmp_path: Path) -> None:
 
 def test_command_runs_what_is_missing_and_reports(tmp_path: Path) -> None:
     arguments = ("7", "--trials", "1", "--episodes", "3", "--workers", "2", "--out", str(tmp_path))
-    command = [sys.executable, "-m", "experiment_runner.cli.paper", *arguments]
+    command = [sys.executable, "-m", "glue_rl", "paper", *arguments]
     first = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "7 hierarchical-internal" in first.stdout
     with Results.open(tmp_path / "7") as results:

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from env_server.render.drawing import sprite, tile
+from experiment_runner.view import episodes
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation, body_size
 from tests.experiment_runner.view.pages import Answer, Inside
@@ -26,15 +27,15 @@ SPEC = (
 SEEN = Observation([1, 2], [float("nan")], b"\x00<b")
 
 
-def record(path: Path, *episodes: int, reward: float = 0.5) -> None:
+def record(path: Path, *lengths: int, reward: float = 0.5) -> None:
     """Record episodes of the given numbers of steps; the last is cut off, the others are terminal."""
     with TrajectoryWriter(path) as writer:
         writer.run(Run("strange", {}, SPEC))
-        for number, steps in enumerate(episodes, 1):
+        for number, steps in enumerate(lengths, 1):
             writer.start(SEEN)
             for step in range(1, steps + 1):
                 seen = Observation([step, number], [step / 3], b"abc")
-                writer.step(Action([step % 2]), reward, seen, step == steps and number < len(episodes))
+                writer.step(Action([step % 2]), reward, seen, step == steps and number < len(lengths))
             writer.cutoff()
 
 
@@ -149,11 +150,14 @@ def test_a_return_that_json_has_not_is_sent_as_a_word(shown: Shown) -> None:
     assert [one["episodes"][0][1] for one in shown.listed()] == ["NaN", "-Infinity"]
 
 
-def test_an_episode_that_is_too_long_is_refused_with_what_shows_it(shown: Shown) -> None:
-    record(shown.folder / "long.traj", 100_001)
+def test_an_episode_that_is_too_long_is_refused_with_what_shows_it(
+    shown: Shown, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(episodes, "_MOST_SENT_STEPS", 100)
+    record(shown.folder / "long.traj", 101)
     answer = shown.episode(1)
     assert answer.status == 422
-    assert "100000 steps" in answer.json()["error"]
+    assert "101 steps: the page shows at most 100 steps" in answer.json()["error"]
     assert "glue-replay" in answer.json()["error"]
 
 

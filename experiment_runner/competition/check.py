@@ -1,0 +1,137 @@
+"""The check before a competition: every entrant plays a little, and its owner gets a report.
+
+Entrants play every task on the default level of its environment, which reveals nothing secret.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match
+from experiment_runner.competition.settings import Competition, Entrant
+from experiment_runner.competition.starters import name_of_run, starter_for
+from experiment_runner.competition.trials import public_trial
+from experiment_runner.executors.job import Ended, Lost, Recorded
+from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.store.database import reported
+from experiment_runner.store.layout import write_flushed
+from experiment_runner.store.lock import LOCK_FILE, RunLock
+from experiment_runner.store.records import EpisodeResult
+from glue.errors import ConfigError, ExperimentError
+from glue.files import open_regular
+
+EPISODES: Final = 3
+_MAX_STEPS: Final = 1_000
+_WAIT_SECONDS: Final = 0.2
+_LAST_LINES: Final = 20
+_MAX_TAIL: Final = 8192
+
+
+def check_entrants(competition: Competition, directory: Path, say: Callable[[str], None]) -> int:
+    """Let every entrant play, one after the other; return the number of those that could not.
+
+    Args:
+        competition: the competition.
+        directory: receives a folder for each entrant to send to its owner: report.txt, and a log of each
+            task.
+        say: shows a line for each entrant.
+
+    Raises:
+        ConfigError: a task has no such environment, or a wrong option.
+        ExperimentError: another process checks entrants in the same directory.
+        StorageError: a report cannot be written.
+    """
+    with reported(f"cannot write to {directory}"):
+        directory.mkdir(parents=True, exist_ok=True)
+        lock = RunLock(directory)
+    failed = 0
+    try:
+        environments = [task.env for task in competition.tasks]
+        with LocalExecutor(1, MODULE, REPORTS, warm=environments) as executor:
+            for entrant in competition.entrants:
+                report = directory / entrant.name / "report.txt"
+                with reported(f"cannot write to {report.parent}"):
+                    report.parent.mkdir(parents=True, exist_ok=True)
+                problem, lines = _checked(competition, entrant, directory, executor)
+                with reported(f"cannot write to {report.parent}"):
+                    write_flushed(report, "\n".join(lines) + "\n")
+                failed += problem is not None and entrant.key is None
+                say(f"{entrant.name}: {problem or f'played {EPISODES} episodes of each task'}; see {report}")
+    finally:
+        (directory / LOCK_FILE).unlink(missing_ok=True)
+        lock.release()
+    return failed
+
+
+def _checked(
+    competition: Competition, entrant: Entrant, directory: Path, executor: LocalExecutor
+) -> tuple[str | None, list[str]]:
+    """Let an entrant play every task; return the first problem, if any, and the lines of its report."""
+    limits, run = competition.limits, name_of_run(directory)
+    lines = [f"{competition.name}: {entrant.name} ({entrant.player})"]
+    ends = (
+        f"Limits of each trial: {limits.start_seconds:g} s to connect, and as much to initialise; "
+        f"{limits.step_seconds:g} s per answer, and a bank of {limits.bank_seconds:g} s for longer ones; "
+        f"{limits.total_seconds:g} s in all."
+    )
+    try:
+        if entrant.key is not None:
+            raise ConfigError("not tried: it joins from elsewhere, with its key")
+        starter = starter_for(entrant)
+        found = replace(entrant, id=starter.check(entrant, limits))
+        starter.sweep(run)
+    except (ConfigError, ExperimentError) as error:
+        return str(error), [*lines, "", str(error), "", ends]
+    first = None
+    lines += [*([found.id] if found.id else []), ""]
+    for task in competition.tasks:
+        log = directory / entrant.name / f"{task.name}.log"
+        with reported(f"cannot write to {log}"):
+            write_flushed(log, "")
+        most = min(task.max_steps or _MAX_STEPS, _MAX_STEPS)
+        spec = public_trial(task, entrant.name, EPISODES, most)
+        episodes, problem = _try(executor, Match(spec, found, limits, 0, log, run))
+        if first is None and problem is not None:
+            first = f"task {task.name}: {problem}"
+        lines += [
+            f"task {task.name}, {EPISODES} episodes of the environment {task.env} with a public level: "
+            + (problem or "all were played"),
+            *(
+                f"episode {result.episode}: return {result.episode_return:.6g} in {result.steps} steps, "
+                f"{1000 * result.wall_time / max(result.steps, 1):.2f} ms per step"
+                for result in episodes
+            ),
+            f"The end of its log, which is in {log.name}:",
+            *_tail(log),
+            "",
+        ]
+    return first, [*lines, ends]
+
+
+def _try(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], str | None]:
+    """Return the episodes that an entrant has played, and why it could not play all of them."""
+    episodes: list[EpisodeResult] = []
+    problem = None
+    executor.start(played)
+    while True:
+        for _, report in executor.receive(_WAIT_SECONDS):
+            match report:
+                case Recorded(result):
+                    episodes.append(result)
+                case Forfeited(reason):
+                    problem = f"would have forfeited: {reason}"
+                case Ended(failure):
+                    return episodes, problem or failure
+                case Lost(why):
+                    return episodes, why
+
+
+def _tail(log: Path) -> list[str]:
+    with reported(f"cannot read {log}"), open_regular(log) as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - _MAX_TAIL))
+        text = file.read().decode("utf-8", "replace")
+    return [f"    {line}" for line in text.splitlines()[-_LAST_LINES:]]

@@ -1,0 +1,226 @@
+"""Child processes: starting and ending them, and restarting players that are killed.
+
+    python -P -m experiment_runner.processes.children MODULE ARGUMENTS...
+
+runs a module as a program that ends with the process that started it.
+"""
+
+from __future__ import annotations
+
+import os
+import runpy
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import IO, Any, Final, Protocol, Self
+
+from experiment_runner.processes.watchdog import spawn, watch_parent
+from glue.errors import ExperimentError
+
+Say = Callable[[str], None]
+"""Shows a line of text."""
+
+FAREWELL_SECONDS: Final = 3.0
+"""Seconds that a child may take to exit after it was asked to."""
+
+HURRIED_SECONDS: Final = 0.2
+"""Seconds that a child may take to exit after Ctrl-C."""
+
+_MAX_DEATHS: Final = 3
+"""Number of times that a player may be killed without progress before it is given up."""
+
+
+class Child(Protocol):
+    """A child process: a `subprocess.Popen`, or an `experiment_runner.processes.warm.Fork`."""
+
+    stdin: IO[bytes] | None
+    returncode: int | Any
+
+    def poll(self) -> int | None: ...
+
+    def wait(self, timeout: float | None = None) -> int: ...
+
+    def terminate(self) -> None: ...
+
+    def kill(self) -> None: ...
+
+
+def start(module: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+    """Start a module as a child that ends when this process does.
+
+    Raises:
+        ExperimentError: it cannot be started.
+    """
+    try:
+        return spawn("experiment_runner.processes.children", [module, *arguments], pass_fds=pass_fds)
+    except OSError as error:
+        raise ExperimentError(f"cannot start {' '.join([module, *arguments])}: {error}") from error
+
+
+def end(process: Child, seconds: float = FAREWELL_SECONDS) -> None:
+    """Wait for a child that was asked to exit; after `seconds` terminate it, then kill it."""
+    for insist in (process.terminate, process.kill):
+        try:
+            process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            insist()
+    process.wait()
+    _close_pipe(process)
+
+
+def has_ended(process: Child) -> bool:
+    """Return whether a child has ended; if so, it need not be passed to `end`."""
+    if process.poll() is None:
+        return False
+    _close_pipe(process)
+    return True
+
+
+def how_it_ended(status: int) -> str:
+    """Return a description of a child's exit status, as in `was killed by signal 9`."""
+    return f"ended with status {status}" if status >= 0 else f"was killed by signal {-status}"
+
+
+def _close_pipe(process: Child) -> None:
+    assert process.stdin is not None
+    process.stdin.close()
+
+
+class KeptAlive:
+    """Child processes that are restarted when they are killed, and that end with the context.
+
+    A child that exits has reported the reason itself, and is not restarted; nor is one that is killed three
+    times at the same episode.
+
+    Args:
+        say: shows a line; called from any thread.
+        progress: returns the number of finished episodes; called from any thread.
+        dismissed: whether the hub tells the children to exit when the context ends; otherwise they are
+            terminated.
+    """
+
+    def __init__(self, say: Say, progress: Callable[[], int], dismissed: bool) -> None:
+        self._say = say
+        self._progress = progress
+        self._dismissed = dismissed
+        self._farewell = FAREWELL_SECONDS
+        self._children: list[_Child] = []
+
+    def start(
+        self, label: str, module: str, arguments: Sequence[str], give_up: Callable[[str], None]
+    ) -> None:
+        """Start a module; if it ends for good, call `give_up` with the reason.
+
+        Raises:
+            ExperimentError: it cannot be started.
+        """
+        self._children.append(_Child(label, module, arguments, self._say, self._progress, give_up))
+
+    def hurry(self) -> None:
+        """Terminate the children now: the run was interrupted."""
+        self._farewell = HURRIED_SECONDS
+        for child in self._children:
+            child.leave(terminate=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for child in self._children:
+            child.leave(terminate=not self._dismissed)
+        for child in self._children:
+            child.end(self._farewell)
+
+
+class _Child:
+    """One child and the thread that watches it."""
+
+    def __init__(
+        self,
+        label: str,
+        module: str,
+        arguments: Sequence[str],
+        say: Say,
+        progress: Callable[[], int],
+        give_up: Callable[[str], None],
+    ) -> None:
+        self._label = label
+        self._module = module
+        self._arguments = arguments
+        self._say = say
+        self._progress = progress
+        self._give_up = give_up
+        self._leaving = False
+        self._lock = threading.Lock()  # after `leave` no new process is started
+        self._process = start(module, arguments)
+        self._watcher = threading.Thread(target=self._watch, name=label, daemon=True)
+        self._watcher.start()
+
+    def leave(self, terminate: bool) -> None:
+        """Stop restarting the process; terminate it if nothing else tells it to exit."""
+        with self._lock:
+            first, self._leaving = not self._leaving, True
+        if terminate and first:  # a second signal would interrupt its cleanup
+            self._process.terminate()
+
+    def end(self, seconds: float) -> None:
+        """Wait for the process to end, as `end` does."""
+        end(self._process, seconds)
+        self._watcher.join()
+
+    def _watch(self) -> None:
+        try:
+            self._keep_alive()
+        except Exception as error:  # otherwise nothing would notice that the player is gone
+            self._give_up(f"the {self._label} cannot be restarted: {error}")
+
+    def _keep_alive(self) -> None:
+        deaths, furthest = 0, -1
+        while True:
+            status = self._process.wait()
+            done = self._progress()
+            deaths = deaths + 1 if done == furthest else 1
+            furthest = done
+            how = f"the {self._label} {how_it_ended(status)}"
+            with self._lock:
+                if self._leaving:
+                    return
+                if status >= 0:
+                    self._give_up(how)
+                    return
+                if deaths == _MAX_DEATHS:
+                    self._give_up(f"{how}, {deaths} times without getting past episode {done}")
+                    return
+                _close_pipe(self._process)
+                self._process = start(self._module, self._arguments)
+            self._say(f"{how}; it is being restarted")
+
+
+def become_child() -> None:
+    """Make this process end when its parent does."""
+    watch_parent(lambda: os._exit(1))
+    if "PYTHONBREAKPOINT" not in os.environ:
+        sys.breakpointhook = _refuse_breakpoint
+
+
+def main() -> None:
+    """Run a module as a program that ends with its parent."""
+    become_child()
+    module, *arguments = sys.argv[1:]
+    sys.argv = [module, *arguments]
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
+
+
+def _refuse_breakpoint(*arguments: object, **options: object) -> None:
+    raise ExperimentError(
+        "breakpoint() needs the terminal, which a player in a separate process does not have: "
+        "debug it with --in-process, without workers"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""The page of a run that is starting: `--view`.
+
+A separate process serves it at a lower priority, and only reads the run's files, so it can neither slow the
+run down nor break it. That process ends with the one that started it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shlex
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+from glue.errors import ConfigError
+
+_STANDARD_STREAMS: Final = (0, 1, 2)
+
+
+def check_view() -> None:
+    """Check, before anything is written, that the page can be served.
+
+    Raises:
+        ConfigError: Starlette or uvicorn is not installed.
+    """
+    if any(find_spec(name) is None for name in ("starlette", "uvicorn")):
+        raise ConfigError(
+            "the page needs Starlette and uvicorn: pip install 'glue-rl[web]'", settings=("view",)
+        )
+
+
+@contextlib.contextmanager
+def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
+    """Show a run on a page; yield a function that waits, after the run, until the page is ended by Ctrl-C.
+
+    Without a terminal the function does not wait, since a script would wait forever.
+
+    Raises:
+        ExperimentError: the page's process cannot be started.
+    """
+    from experiment_runner.processes import children
+
+    process = children.start("view", [str(directory), "--stderr"])
+
+    def wait() -> None:
+        if process.poll() is None and any(map(os.isatty, _STANDARD_STREAMS)):
+            say("the run is over; its page stays until Ctrl-C")
+            with contextlib.suppress(KeyboardInterrupt):
+                process.wait()
+        say(f"to see the run again: glue-view {shlex.quote(str(directory))}")
+
+    try:
+        yield wait
+    finally:
+        process.kill()  # it only reads, so nothing is lost
+        children.end(process)

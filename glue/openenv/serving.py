@@ -1,0 +1,264 @@
+"""An environment for OpenEnv's clients: `glue-env mario --openenv 127.0.0.1:8000`.
+
+The routes and messages are OpenEnv's own, by its server; each connection plays an environment of its own.
+What a task spec describes becomes typed fields: a value of the space of `glue.gym.spaces` as JSON. Chars are
+a string, a character for each byte (Latin-1). A space that is not a Dict is one field, `action` or
+`observation`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Annotated, Any, Final
+from urllib.parse import urlsplit
+
+import numpy as np
+import uvicorn
+from gymnasium import spaces
+from openenv.core.env_server.http_server import create_fastapi_app
+from openenv.core.env_server.interfaces import Environment as OpenEnvironment
+from openenv.core.env_server.types import Action, Observation, State
+from pydantic import BaseModel, Field, create_model
+
+from glue.console import say
+from glue.errors import ConfigError
+from glue.gym.client import GlueEnv, wrap
+from glue.gym.codec import SpaceLike
+from glue.hub.config import is_local
+from glue.roles import Environment
+
+MAX_SESSIONS: Final = 64
+IDLE_SECONDS: Final = 300.0
+"""Time after which a connection that is in no episode is closed."""
+
+_MAX_MESSAGE: Final = 2**20
+_Message = MutableMapping[str, Any]
+_Receive = Callable[[], Awaitable[_Message]]
+_Send = Callable[[_Message], Awaitable[None]]
+
+
+def serve(make: Callable[[], Environment], name: str, address: str, *, insecure: bool = False) -> None:
+    """Serve environments to OpenEnv's clients until the process is told to end.
+
+    Args:
+        make: makes the environment of a connection.
+        name: of the environment.
+        address: HOST:PORT.
+        insecure: whether other machines may reach the address: OpenEnv knows no keys.
+
+    Raises:
+        ConfigError: the address is not of that form, or reachable by others without `insecure`.
+        SystemExit: it cannot be bound, which is printed.
+    """
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise ConfigError(f"an address for OpenEnv is HOST:PORT, as in 127.0.0.1:8000, not {address!r:.80}")
+    if not insecure and not is_local(f"tcp://{address}"):
+        raise ConfigError(
+            f"{address} can be reached from other machines, and OpenEnv has no keys: bind 127.0.0.1:{port}, "
+            "or set insecure if the network is your own",
+            settings=("insecure",),
+        )
+    app = application(make, name, any_host=insecure)
+    config = uvicorn.Config(
+        app,
+        host.strip("[]"),
+        int(port),
+        log_level="warning",
+        ws_max_size=_MAX_MESSAGE,
+        limit_concurrency=4 * MAX_SESSIONS,
+        timeout_graceful_shutdown=1,
+    )
+    with config.bind_socket() as listening:
+        listening.listen()  # Who reads the line may connect at once.
+        say(f"serving {name} to OpenEnv's clients at http://{host}:{listening.getsockname()[1]}")
+        uvicorn.Server(config).run([listening])
+
+
+def application(
+    make: Callable[[], Environment], name: str, *, any_host: bool = False, idle: float = IDLE_SECONDS
+) -> Any:
+    """Return the ASGI application of `serve`.
+
+    Args:
+        make: see `serve`.
+        name: see `serve`.
+        any_host: whether requests may name any host; otherwise only loopback, so that a page of another
+            site in a browser cannot play.
+        idle: seconds after which a connection that is in no episode is closed.
+
+    Raises:
+        ConfigError: the task spec does not state the actions.
+    """
+    model = _Models(make, name)
+    app = create_fastapi_app(
+        model.environment,
+        model.action,
+        model.observation,
+        MAX_SESSIONS,
+        env_name=name,
+        mode="simulation",
+    )
+    return _Guard(app, any_host, idle)
+
+
+class _Models:
+    """The typed actions and observations of an environment, and the class that plays it."""
+
+    def __init__(self, make: Callable[[], Environment], name: str) -> None:
+        first = wrap(make())
+        spec, actions, observations = first.task_spec, first.action_space, first.observation_space
+        first.close()
+        self.action = _model(f"{name}Action", Action, actions, "action")
+        self.observation = _model(f"{name}Observation", Observation, observations, "observation")
+        models = self
+
+        class Served(OpenEnvironment):  # type: ignore[misc]
+            SUPPORTS_CONCURRENT_SESSIONS = True
+
+            def __init__(self) -> None:
+                super().__init__()
+                self._env: GlueEnv = wrap(make())
+                self._state = State()
+
+            def reset(self, seed: int | None = None, episode_id: str | None = None) -> Any:
+                observation, _ = self._env.reset(seed=None if seed is None else seed % 2**63)
+                self._state = State(episode_id=episode_id, step_count=0, task_spec=spec)
+                return models.observed(observations, observation, None, False, False)
+
+            def step(self, action: Any, timeout_s: float | None = None) -> Any:
+                value = action.model_dump(exclude={"metadata"})
+                given = value if isinstance(actions, spaces.Dict) else value["action"]
+                step = self._env.step(_from_json(actions, given))
+                self._state.step_count += 1
+                return models.observed(observations, *step[:4])
+
+            @property
+            def state(self) -> State:
+                return self._state
+
+            def close(self) -> None:
+                self._env.close()
+
+        self.environment = Served
+
+    def observed(
+        self, space: SpaceLike, value: Any, reward: float | None, terminated: bool, truncated: bool
+    ) -> Any:
+        shown = _to_json(space, value)
+        fields = shown if isinstance(space, spaces.Dict) else {"observation": shown}
+        metadata = {"truncated": True} if truncated else {}
+        return self.observation(**fields, reward=reward, done=terminated or truncated, metadata=metadata)
+
+
+def _model(name: str, base: Any, space: SpaceLike, single: str) -> Any:
+    parts = space.spaces if isinstance(space, spaces.Dict) else {single: space}
+    fields: dict[str, Any] = {key: (_type(part, f"{name}{key.title()}"), ...) for key, part in parts.items()}
+    return create_model("".join(filter(str.isalnum, name)), __base__=base, **fields)
+
+
+def _type(space: SpaceLike, name: str) -> Any:
+    """Return the type of the values of a space, whose JSON schema states their bounds."""
+    if isinstance(space, spaces.Dict):
+        return _model(name, BaseModel, space, "")
+    if isinstance(space, spaces.Tuple):
+        return tuple[tuple(_type(part, f"{name}{i}") for i, part in enumerate(space.spaces))]  # type: ignore[misc]
+    if isinstance(space, spaces.Discrete):
+        return _whole(space.start, space.start + space.n - 1)
+    if isinstance(space, spaces.MultiDiscrete) and len(space.shape) == 1:
+        ends = zip(space.start.tolist(), space.nvec.tolist(), strict=True)
+        return tuple[tuple(_whole(start, start + n - 1) for start, n in ends)]  # type: ignore[misc]
+    if _is_chars(space):
+        return str
+    if isinstance(space, spaces.Sequence):
+        return list[_type(space.feature_space, name)]  # type: ignore[misc]
+    kind: Any = float if np.dtype(space.dtype).kind == "f" else int
+    for length in reversed(space.shape):
+        kind = Annotated[list[kind], Field(min_length=length, max_length=length)]
+    return kind
+
+
+def _whole(low: Any, high: Any) -> Any:
+    return Annotated[int, Field(ge=int(low), le=int(high))]
+
+
+def _is_chars(space: SpaceLike) -> bool:
+    kind = space.feature_space if isinstance(space, spaces.Sequence) else space
+    one_row = isinstance(space, spaces.Sequence) or len(kind.shape) == 1
+    return isinstance(kind, spaces.Box) and kind.dtype == np.uint8 and one_row
+
+
+def _to_json(space: SpaceLike, value: Any) -> Any:
+    if isinstance(space, spaces.Dict):
+        return {key: _to_json(part, value[key]) for key, part in space.spaces.items()}
+    if isinstance(space, spaces.Tuple):
+        return [_to_json(part, one) for part, one in zip(space.spaces, value, strict=True)]
+    return bytes(value).decode("latin-1") if _is_chars(space) else np.asarray(value).tolist()
+
+
+def _from_json(space: SpaceLike, value: Any) -> Any:
+    if isinstance(space, spaces.Dict):
+        return {key: _from_json(part, value[key]) for key, part in space.spaces.items()}
+    if isinstance(space, spaces.Tuple):
+        return tuple(_from_json(part, one) for part, one in zip(space.spaces, value, strict=True))
+    if _is_chars(space):
+        return np.frombuffer(value.encode("latin-1", "replace"), np.uint8)
+    found = np.array(value, space.dtype)
+    return found[()] if isinstance(space, spaces.Discrete) else found
+
+
+class _Guard:
+    """Refuses requests of other sites, and closes connections that are in no episode for too long.
+
+    The server closes a connection whose client no longer answers pings. A client that thinks answers them,
+    and is not hurried.
+    """
+
+    def __init__(self, app: Any, any_host: bool, idle: float) -> None:
+        self._app = app
+        self._any_host = any_host
+        self._idle = idle
+
+    async def __call__(self, scope: Any, receive: _Receive, send: _Send) -> None:
+        if scope["type"] == "lifespan" or self._admits(scope):
+            if scope["type"] == "websocket":
+                receive, send = _idle_bounded(receive, send, self._idle)
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 1008, "reason": "a page of another site"})
+        else:
+            await send({"type": "http.response.start", "status": 403, "headers": []})
+            await send({"type": "http.response.body", "body": b"for clients of this machine\n"})
+
+    def _admits(self, scope: Any) -> bool:
+        headers = dict(scope["headers"])
+        host = headers.get(b"host", b"").decode("latin-1")
+        origin = headers.get(b"origin")
+        if origin is not None and urlsplit(origin.decode("latin-1")).netloc != host:
+            return False
+        return self._any_host or urlsplit(f"//{host}").hostname in ("127.0.0.1", "::1", "localhost")
+
+
+def _idle_bounded(receive: _Receive, send: _Send, idle: float) -> tuple[_Receive, _Send]:
+    """Return a connection that is at its end when it has waited `idle` seconds outside of an episode."""
+    playing = False
+
+    async def receiving() -> _Message:
+        try:
+            return await asyncio.wait_for(receive(), None if playing else idle)
+        except TimeoutError:
+            await send({"type": "websocket.close", "code": 1001, "reason": f"idle for {idle:g} s"})
+            return {"type": "websocket.disconnect", "code": 1001}
+
+    async def sending(message: _Message) -> None:
+        nonlocal playing
+        if message["type"] == "websocket.send":
+            answer = json.loads(message["text"])
+            if answer["type"] == "observation":
+                playing = not answer["data"]["done"]
+        await send(message)
+
+    return receiving, sending

@@ -1,0 +1,175 @@
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from agents.baselines import SkeletonAgent
+from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from experiment_runner.executors.job import Line, Report
+from experiment_runner.executors.over_hub import Hints
+from experiment_runner.executors.players import open_experiment
+from experiment_runner.executors.rewards import FiniteRewards
+from experiment_runner.executors.settings import BOTH, HubOptions, Placement
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from glue.client.players import serve_agent, serve_environment
+from glue.errors import GlueError, PeerFailed, PeerLost, Refused
+from glue.hub.config import LegacyPort
+from glue.types import Action, Observation, Step
+from glue.wire.messages import Role
+
+LOCAL = "tcp://127.0.0.1:*"
+REMOTE = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
+
+
+class Heard(Exception):
+    """The hint was given."""
+
+
+@pytest.mark.parametrize(
+    ("url", "session", "ports", "hint"),
+    [
+        ("tcp://127.0.0.1:4097", "default", (), ""),
+        ("tcp://0.0.0.0:9", "default", (), " --hub tcp://HOST:9"),
+        ("tcp://[::]:9", "default", (), " --hub tcp://HOST:9"),
+        ("tcp://127.0.0.1:9", "b", (), " --hub tcp://127.0.0.1:9 --session b"),
+        (
+            "tcp://127.0.0.1:4097",
+            "b",
+            (LegacyPort(7), LegacyPort(8, "b")),
+            " --session b; or an original one on 127.0.0.1:8",
+        ),
+    ],
+)
+def test_hint_says_where_others_can_join(
+    url: str, session: str, ports: Sequence[LegacyPort], hint: str
+) -> None:
+    lines: list[str] = []
+    hints = Hints(lines.append, url, session, {Role.ENVIRONMENT}, ports)
+    for missing in (BOTH, {Role.AGENT}, BOTH):
+        hints.show(missing)
+    agent = f"waiting for an agent; in another terminal: glue-agent hierarchical{hint}"
+    assert lines == [agent, "waiting for the environment to start", agent, agent]
+
+
+@pytest.mark.parametrize("url", ["tcp://0.0.0.0:*", "tcp://*:*"])
+def test_hint_has_the_port_of_the_hub(url: str) -> None:
+    def send(report: Report) -> None:
+        if isinstance(report, Line) and report.line.startswith("waiting for an agent"):
+            raise Heard(report.line)
+
+    placement = Placement(hub=HubOptions(bind=(url,), insecure=True))
+    with (
+        pytest.raises(Heard, match=r"--hub tcp://HOST:\d+$"),
+        open_experiment(REMOTE, placement, send, lambda: 0),
+    ):
+        raise AssertionError("an agent was missing")
+
+
+def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
+    """Nor can it keep the experiment from starting the player."""
+    hub: list[str] = []
+
+    def send(report: Report) -> None:
+        if found := re.search(r"glue-agent hierarchical --hub (\S+)'", str(report)):
+            hub.append(found[1])
+            with pytest.raises(Refused):
+                serve_environment(MinesEnvironment(), found[1])
+            raise Heard
+
+    placement = Placement(hub=HubOptions(bind=(LOCAL,)))
+    with pytest.raises(Heard), open_experiment(REMOTE, placement, send, lambda: 0):
+        raise AssertionError("nobody was missing")
+    assert hub
+
+
+REWARDS = '''
+from env_server.toys import SkeletonEnvironment
+
+
+class Odd(SkeletonEnvironment):
+    """Its third reward is not finite."""
+
+    def __init__(self, *, reward: str = "") -> None:
+        super().__init__()
+        self.steps, self.reward = 0, reward
+
+    def env_step(self, action):
+        self.steps += 1
+        reward, observation, terminal, *_ = super().env_step(action)
+        return (float(self.reward) if self.steps == 3 else reward), observation, terminal
+'''
+
+
+def test_reward_that_is_not_finite_is_noticed_in_a_list_too() -> None:
+    class Lists(SkeletonEnvironment):
+        def env_step(self, action: Action) -> Step:
+            return [math.nan, Observation(ints=[1]), False]  # type: ignore[return-value]
+
+    with pytest.raises(GlueError, match="step 1 is nan"):
+        FiniteRewards(Lists()).env_step(Action(ints=[1]))
+
+
+@pytest.mark.parametrize(
+    ("reward", "in_process"), [(math.nan, True), (math.inf, True), (-math.inf, True), (math.nan, False)]
+)
+def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
+    tmp_path: Path, in_process: bool, reward: float
+) -> None:
+    (tmp_path / "odd.py").write_text(REWARDS)
+    environment = RoleSpec(f"{tmp_path}/odd.py:Odd", {"reward": str(reward)})
+    spec = TrialSpec(
+        TrialId("skeleton/Odd/0"), RoleSpec("skeleton"), environment, episodes=1, max_steps=0, seed=1
+    )
+    for any_reward in (False, True):
+        placement = Placement(BOTH if in_process else frozenset(), any_reward=any_reward)
+        with open_experiment(spec, placement, lambda report: None, lambda: 0) as glue:
+            glue.rl_init(1)
+            if any_reward:
+                glue.rl_episode(10)
+                assert not math.isfinite(glue.rl_return())
+            else:
+                with pytest.raises(PeerFailed, match=f"Odd.* step 3 is {reward}"):
+                    glue.rl_episode(10)
+
+
+class Stopped(Exception):
+    """The trial need not continue."""
+
+
+def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
+    """The line is printed again, since the terminal has scrolled by then."""
+    hints: list[str] = []
+    leaves = threading.Event()
+
+    def send(report: Report) -> None:
+        if found := re.search(r"waiting for an agent; .* --hub (\S+)'", str(report)):
+            hints.append(found[0])
+            if len(hints) == 1:
+                threading.Thread(target=leave_after_a_step, args=(found[1],), daemon=True).start()
+
+    class Leaving(SkeletonAgent):
+        def agent_start(self, observation: Observation) -> Action:
+            leaves.set()
+            raise KeyboardInterrupt
+
+    def leave_after_a_step(url: str) -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            serve_agent(Leaving(), url)
+
+    spec = replace(REMOTE, environment=RoleSpec("skeleton"))
+    placement = Placement(hub=HubOptions(bind=(LOCAL,)))
+    with open_experiment(spec, placement, send, lambda: 0) as glue:
+        glue.rl_init(1)
+        with pytest.raises(PeerLost):
+            glue.rl_episode(9)
+        assert leaves.is_set()
+    assert len(hints) == 2
+    assert hints[0] == hints[1]

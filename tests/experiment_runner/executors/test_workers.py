@@ -1,0 +1,26 @@
+from __future__ import annotations
+
+from experiment_runner.executors.job import Job, Lost, Recorded, Report
+from experiment_runner.executors.settings import BOTH, Placement, RunConfig
+from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
+
+
+def test_worker_that_is_stopped_ends_an_episode_and_reports_a_checkpoint_after_it() -> None:
+    spec = TrialSpec(
+        TrialId("sarsa/mines/0"), RoleSpec("sarsa"), RoleSpec("mines"), 10**6, max_steps=20, seed=1
+    )
+    reports: list[Report] = []
+    stopped = False
+    with LocalExecutor(1) as executor:
+        executor.start(Job(spec, RunConfig(Placement(BOTH))))
+        while not (reports and isinstance(reports[-1], Lost)):
+            reports += [report for _, report in executor.receive(60)]
+            if reports and not stopped:
+                stopped = True
+                executor.stop()
+    last = reports[-2]
+    assert isinstance(last, Recorded)
+    assert last.checkpoint is not None
+    assert last.result.episode == len(reports) - 1

@@ -1,0 +1,34 @@
+"""Certificates of levels reach the goal, are added to their file, and can be verified."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from env_server.mario.level_sets import LEVEL_SETS, LevelSet
+from experiment_runner.cli.generalise import generalise
+from experiment_runner.study.generalisation.benchmark import read_scores
+from experiment_runner.study.generalisation.verification import differences, solvable
+from studies.certificates import certificates
+
+
+@pytest.mark.parametrize("name", ["certificates.json", "certificates.json.gz"])
+def test_certificates_reach_the_goal_and_are_kept(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(LEVEL_SETS, "few", LevelSet(range(3)))
+    out = tmp_path / name
+    for levels in ("few:2", "few", "few"):
+        before = out.read_bytes() if out.exists() else b""
+        done = CliRunner().invoke(certificates, [levels, "--out", str(out)], catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+    assert out.read_bytes() == before, "nothing was missing"
+    found = read_scores(out)
+    assert [score["level"] for score in found["trials"][0]["few"]] == [0, 1, 2]
+    assert solvable(found) == {0, 1, 2}
+    assert not list(differences(found, lambda line: None))
+    run = ["--agent", "run-right", "--set", "few", "--seed", "1", "--out", str(tmp_path / "run")]
+    shown = CliRunner().invoke(generalise, [*run, "--certificates", str(out)], catch_exceptions=False)
+    assert "goal, if solvable" in shown.stdout
