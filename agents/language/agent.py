@@ -74,13 +74,11 @@ class LanguageAgent(Agent):
 
     def agent_message(self, message: str) -> str:
         with self.changed:
-            answers: dict[str, Any] = {
-                "answers": self.game.newest,
-                "record": {"settings": asdict(self.options), "prompt": self._digest(), **self.game.record()},
-            }
-        if message not in answers:
+            record = {"settings": asdict(self.options), "prompt": self._digest(), **self.game.record()}
+        newest = record.pop("newest")
+        if message not in ("record", "answers"):
             return "a language model answers the messages record and answers"
-        return json.dumps(answers[message], ensure_ascii=False)
+        return json.dumps(record if message == "record" else newest, ensure_ascii=False)
 
     def agent_metrics(self) -> Mapping[str, float]:
         with self.changed:

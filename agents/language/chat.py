@@ -94,13 +94,11 @@ class ChatAgent(LanguageAgent):
             try:
                 return read_reply(self._endpoint.post(body, min(options.timeout, left)))
             except EndpointBusy as error:
-                wait = next(waits, None)
-                if self.game.time_left > 0:
-                    if wait is None:
-                        raise
-                    LOG.warning("%s; asking again in %g s", error, wait)
-                    self.game.counts.repeated += 1
-                    sleep(min(wait, self.game.time_left))
+                if (wait := next(waits, None)) is None:
+                    raise
+                LOG.warning("%s; asking again in %g s", error, wait)
+                self.game.counts.repeated += 1
+                sleep(min(wait, self.game.time_left))
         return None
 
 

@@ -211,15 +211,11 @@ class Game:
         running = self._clock() - self._asked if self.phase is Phase.CHOOSING else 0.0
         return max(0.0, (self._options.seconds or math.inf) - self.counts.seconds - running)
 
-    @property
-    def newest(self) -> list[dict[str, Any]]:
-        """The raw answers of the newest choice."""
-        return self._episode.raw[self._episode.newest :]
-
     def record(self) -> dict[str, Any]:
-        """Return the counts of the episode, and its newest raw answers."""
+        """Return the counts of the episode, its raw answers, and those of the newest choice."""
         now = self._episode
-        return {"episode": now.number, "counts": asdict(now.counts), "answers": now.raw}
+        answers = {"answers": now.raw, "newest": now.raw[now.newest :]}
+        return {"episode": now.number, "counts": asdict(now.counts), **answers}
 
     # The model's side.
 

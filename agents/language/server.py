@@ -12,12 +12,12 @@ import json
 import os
 import signal
 import socket
+import threading
 from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
-from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
 from agents.language.agent import LanguageAgent
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from mcp.server.lowlevel import Server
 
 _HOST: Final = "127.0.0.1"
+_STDIO: Final = "mcp over stdio"
 _PATIENCE: Final = 3.0
 """Seconds for which a call waits for the game; then it is answered all the same."""
 
@@ -49,10 +50,7 @@ _TEXTS: Final = {"type": "array", "items": {"type": "string"}}
 _UNTIL: Final = {"type": "string", "enum": [*Until], "description": f"when the actions stop early: {UNTIL}"}
 _TOOLS: Final[Mapping[str, tuple[str, dict[str, Any]]]] = {
     "look": ("Show what you see and the current turn, first with the rules.", {"image": _TRUTH}),
-    "act": (
-        "Take actions, by name, and see what follows.",
-        {"turn": _WHOLE, "actions": _TEXTS, "until": _UNTIL},
-    ),
+    "act": ("Take actions, by name.", {"turn": _WHOLE, "actions": _TEXTS, "until": _UNTIL}),
     "give_up": ("Forfeit the episode.", {"turn": _WHOLE}),
 }
 """The tools, with what each does and takes."""
@@ -91,8 +89,10 @@ class MCPAgent(LanguageAgent):
         """Objects of the SDK whose `instructions` a client is shown; guarded by `changed`."""
         self._leaving = False
         port = self.options.port
+        if port is None and any(thread.name == _STDIO for thread in threading.enumerate()):
+            raise ConfigError("stdio serves one session: give others a port", settings=("port",))
         serve = self._serve_stdio if port is None else partial(self._serve_http, _listen(port))
-        self._thread = Thread(target=serve, name="mcp", daemon=True)
+        self._thread = threading.Thread(target=serve, name=_STDIO if port is None else None, daemon=True)
         self._thread.start()
         atexit.register(self._leave)
 
@@ -163,10 +163,8 @@ def play(agent: LanguageAgent, tool: str, arguments: Mapping[str, Any]) -> Answe
             return Answer(str(error), game.view().data, error=True)
         agent.changed.notify_all()
         agent.changed.wait_for(lambda: game.answer(turn) is not None, _PATIENCE)
-        if (answer := game.answer(turn)) is not None:
-            return answer
         text = f"{game.view().text} Repeat this call to get its answer."
-        return game.view()._replace(text=text)
+        return game.answer(turn) or game.view()._replace(text=text)
 
 
 def make_server(agent: MCPAgent) -> Server[Any]:

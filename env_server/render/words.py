@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from io import BytesIO
 from itertools import product
 from typing import Final
@@ -18,13 +19,11 @@ def _png(observation: Observation) -> bytes:
     return file.getvalue()
 
 
-def _buttons() -> dict[str, Action]:
-    """Return Mario's twelve actions by the buttons that they hold."""
-    held = product((("", 0), ("right", 1), ("left", -1)), (("", 0), ("jump", 1)), (("", 0), ("run", 1)))
-    return {
-        "+".join(filter(None, (direction, jump, run))) or "stay": Action(ints=(x, y, z))
-        for (direction, x), (jump, y), (run, z) in held
-    }
+def _buttons() -> Iterator[tuple[str, Action]]:
+    """Yield Mario's twelve actions, each with the buttons that it holds."""
+    for (direction, x), jump, run in product((("", 0), ("right", 1), ("left", -1)), (0, 1), (0, 1)):
+        name = "+".join(filter(None, (direction, "jump" * jump, "run" * run)))
+        yield name or "stay", Action(ints=(x, jump, run))
 
 
 MARIO: Final = Words(
@@ -37,7 +36,7 @@ pay otherwise.
 The picture has 16 rows of 21 tiles, two characters to a tile: ## solid, == solid from above, [] a brick, \
 ?? a question block, () a coin, || a pipe, !> the column of the goal. Two equal letters are Mario or \
 somebody else, as the line below the picture says; ^ after a letter is a wing.""",
-    _buttons(),
+    dict(_buttons()),
     _png,
 )
 

@@ -60,7 +60,8 @@ def test_tutorial(page: str, made: str, tmp_path: Path) -> None:
 
 
 def test_a_stand_in_for_a_language_model_reaches_the_goal(tmp_path: Path) -> None:
-    follow(text_of("language-models"), tmp_path)
+    board = follow(text_of("language-models"), tmp_path)
+    assert re.search(r"^\s*1\s+model\b", board, re.MULTILINE), board
     with Results.open(tmp_path / "runs/model") as results:
         assert [episode.episode_return for episode in results.episodes("chat/mines/0")] == [-11.0] * 2
 

@@ -21,6 +21,7 @@ from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from glue.engine.local import local
 from glue.errors import ConfigError, GlueError
 from glue.plugins.loading import make_agent
+from glue.testing import check_agent
 from glue.trajectory import TrajectoryReader
 from glue.types import Observation
 from tests import forked
@@ -97,6 +98,13 @@ def test_a_model_plays_with_the_rules_its_history_and_its_sampling() -> None:
     assert len(record["prompt"]) == 64
     assert [answer["answer"] for answer in record["answers"]] == ["What now?", "act: right*5", "act: right*5"]
     assert newest == [{"turn": 3, "answer": "act: right*5"}]
+
+
+def test_it_keeps_the_contract_of_agents() -> None:
+    with endpoint(model("act: left*2")) as url:
+        check_agent(
+            lambda: make_agent("chat", url=url, model="m"), MinesEnvironment().env_init(), episodes=1, steps=5
+        )
 
 
 def test_the_digest_of_the_prompt_is_that_of_what_the_model_is_told() -> None:

@@ -238,6 +238,6 @@ def test_raw_answers_are_kept_within_bounds(table: Table) -> None:
     assert 1 <= len(record["answers"]) < 30
     assert record["answers"][-1]["answer"].startswith("29 ?[2J ?")
     assert len(json.dumps(record, ensure_ascii=False)) < 9000
-    assert table.game.newest == []
+    assert table.game.record()["newest"] == []
     table.game.note("next")
-    assert table.game.newest == [{"turn": 31, "answer": "next"}]
+    assert table.game.record()["newest"] == [{"turn": 31, "answer": "next"}]

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Awaitable, Callable
 from http.client import HTTPConnection
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 
 import anyio
@@ -17,6 +17,7 @@ from agents.language import server
 from agents.language.server import MCPAgent, make_server
 from env_server.toys import MinesEnvironment
 from glue.engine.local import local
+from glue.errors import ConfigError
 from glue.roles import Environment
 from glue.types import Observation
 from tests import forked
@@ -66,7 +67,6 @@ async def call(client: Any, tool: str, **arguments: object) -> Any:
 
 
 async def first_part(client: Any) -> None:
-    assert "The actions" not in (client.instructions or "")
     tools = (await client.list_tools()).tools
     assert [tool.name for tool in tools] == ["look", "act", "give_up"]  # none resets
     look = await call(client, "look")
@@ -112,7 +112,7 @@ def test_over_http(mode: str, caplog: pytest.LogCaptureFixture) -> None:
     thread = playing(agent, MinesEnvironment())
     talk(url, mode, first_part, second_part)
     thread.join()
-    with pytest.raises(Exception, match="cannot serve at port"):
+    with pytest.raises(ConfigError, match="cannot serve at port"):
         MCPAgent(port=int(url.split(":")[2].partition("/")[0]))
 
 
@@ -156,6 +156,15 @@ def test_over_stdio_from_the_first_call_to_the_last(mode: str, tmp_path: Path) -
 
     talk(lambda: mcp.stdio_client(command), mode, whole)
     assert forked.run("glue-replay", "--check", "run.traj", cwd=tmp_path).returncode == 0
+
+
+def test_stdio_serves_one_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    free = Event()
+    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: free.wait())
+    MCPAgent()
+    with pytest.raises(ConfigError, match="one session"):
+        MCPAgent()
+    free.set()
 
 
 def test_a_step_that_takes_long_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
