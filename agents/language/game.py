@@ -152,35 +152,32 @@ class Game:
 
     def task(self, task_spec: str) -> None:
         """Begin a task; raise as `Texts`."""
-        self._finish(Phase.WAITING)
+        self._go(Phase.WAITING)
         self.texts = Texts(task_spec, self._options.sequence, self._options.list_actions)
         self._told = False
 
     def start(self, observation: Observation) -> None:
         """Begin an episode; an unfinished one was cut off by the experiment."""
-        self._finish(Phase.OVER)
+        self._go(Phase.OVER)
         self._episode = _Episode(self._episode.number + 1, observation)
         self.turn += 1
-        self.phase = Phase.CHOOSING
-        self._ask()
+        self._go(Phase.CHOOSING)
 
     def step(self, reward: float, observation: Observation) -> None:
         """Take the result of the last action."""
         self._episode.seen = observation
         self._count(reward)
         if self.phase is Phase.PLAYING and (self._stops(reward) or not self._plan):
-            self._ask()
-            self._finish(Phase.CHOOSING)
+            self._go(Phase.CHOOSING)
 
     def end(self, reward: float) -> None:
         """Take the last reward of an episode."""
         self._count(reward)
-        self._finish(Phase.OVER)
+        self._go(Phase.OVER)
 
     def close(self) -> None:
         """End the session: nothing will be asked any more."""
-        self._finish(Phase.OVER)
-        self.phase = Phase.CLOSED
+        self._go(Phase.CLOSED)
 
     def next_action(self) -> Action | None:
         """Return the next action, or None if the model has to choose first.
@@ -241,7 +238,7 @@ class Game:
         now, options = self._episode, self._options
         left = max(0, options.steps - 1 - now.steps) if options.steps else None
         seconds = round(self.time_left, 3) if options.seconds else None
-        over = self.phase in (Phase.OVER, Phase.CLOSED)
+        over = now.number > 0 and self.phase not in (Phase.CHOOSING, Phase.PLAYING)
         data: dict[str, Any] = {"turn": self.turn, "episode": now.number, "reward": now.reward}
         data |= {"return": now.total, "steps": now.steps, "steps_left": left, "over": over}
         data |= {"forfeit": bool(now.forfeit), "time_left": seconds}
@@ -346,14 +343,12 @@ class Game:
         changed = self._until == Until.CHANGE and self._episode.seen.body != self._began.body
         return changed or (self._until == Until.REWARD and reward != self._first)
 
-    def _ask(self) -> None:
-        """Let the model choose from now on."""
-        self._asked = self._clock()
-        self._episode.newest = len(self._episode.raw)
-
-    def _finish(self, phase: Phase) -> None:
-        """Go to a phase; if a choice was being played, this is its answer."""
+    def _go(self, phase: Phase) -> None:
+        """Go to another phase; if a choice was being played, it has its answer now."""
         played, self.phase = self.phase is Phase.PLAYING, phase
+        if phase is Phase.CHOOSING:
+            self._asked = self._clock()
+            self._episode.newest = len(self._episode.raw)
         if played:
             self._plan.clear()
             self._answer = self.view()

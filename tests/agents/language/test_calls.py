@@ -17,6 +17,7 @@ from env_server.toys import SkeletonEnvironment
 from glue.engine.local import local
 from glue.errors import ConfigError
 from glue.plugins.loading import make_agent
+from glue.roles import Environment
 from glue.types import Action, Step
 
 
@@ -32,10 +33,7 @@ class Door(LanguageAgent):
 class Slow(SkeletonEnvironment):
     """The walk, whose steps wait while `gate` is closed."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.gate = Event()
-        self.gate.set()
+    gate = Event()
 
     def env_step(self, action: Action) -> Step:
         self.gate.wait()
@@ -43,37 +41,38 @@ class Slow(SkeletonEnvironment):
 
 
 @contextmanager
-def session(episodes: int, **options: Any) -> Iterator[tuple[Door, Slow, Event]]:
-    """Yield an agent that plays in another thread, its environment, and whether the experiment may begin."""
-    agent, environment, begin = Door(GameOptions(**options)), Slow(), Event()
+def session(
+    agent: LanguageAgent, environment: Environment | None = None, episodes: int = 1
+) -> Iterator[None]:
+    """Run an experiment in a thread."""
 
     def experiment() -> None:
-        with local(agent, environment) as glue:
-            begin.wait()
+        with local(agent, environment or SkeletonEnvironment()) as glue:
             glue.rl_init()
             for _ in range(episodes):
-                glue.rl_episode()
+                glue.rl_episode(30)
             glue.rl_cleanup()
 
     thread = Thread(target=experiment)
     thread.start()
-    yield agent, environment, begin
+    yield
     thread.join()
 
 
 def test_a_game_is_played_by_calls_from_another_thread() -> None:
-    with session(episodes=2) as (agent, _, begin):
-        begin.set()
+    agent = Door(GameOptions())
+    with session(agent, episodes=2):
         assert "You are @" in play(agent, "look", {}).text
-        assert play(agent, "act", {"turn": 1, "actions": ["right*3"]}).data["steps"] == 3
-        first = play(agent, "act", {"turn": 2, "actions": ["right*7"]})
+        call = {"turn": 1, "actions": ["right*10"]}
+        first = play(agent, "act", call)
         assert first.data["over"]
-        assert play(agent, "act", {"turn": 2, "actions": ["right*7"]}) is first
-        assert play(agent, "look", {}).data["turn"] == 4
-        assert play(agent, "give_up", {"turn": 4}).data["forfeit"]
+        assert play(agent, "act", call) is first
+        assert play(agent, "look", {}).data["turn"] == 3
+        assert play(agent, "give_up", {"turn": 3}).data["forfeit"]
         with pytest.raises(GameOver):
             play(agent, "look", {})
-    assert agent.agent_metrics().items() > {"forfeits": 1.0, "illegal": 0.0}.items()
+    assert agent.agent_metrics().items() > {"forfeits": 1.0, "illegal": 0.0, "choices": 1.0}.items()
+    assert agent.game.record()["answers"] == [{"turn": 3, "answer": '{"turn": 3}'}]
 
 
 @pytest.mark.parametrize(
@@ -92,51 +91,38 @@ def test_a_game_is_played_by_calls_from_another_thread() -> None:
 def test_what_is_wrong_with_a_call_is_told_to_the_model(
     arguments: dict[str, Any], says: str, illegal: int
 ) -> None:
-    with session(episodes=1) as (agent, _, begin):
-        begin.set()
-        play(agent, "look", {})
-        answer = play(agent, "act", arguments)
-        assert answer.error
-        assert says in answer.text
-        assert agent.game.counts.illegal == illegal
-        play(agent, "act", {"turn": agent.game.turn, "actions": ["left*20"]})
+    agent = Door(GameOptions())
+    agent.game.task(SkeletonEnvironment().env_init())
+    agent.game.start(SkeletonEnvironment().env_start())
+    answer = play(agent, "act", arguments)
+    assert answer.error
+    assert says in answer.text
+    assert agent.game.counts.illegal == illegal
 
 
 def test_a_call_is_answered_however_long_the_game_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "_PATIENCE", 0.05)
-    with session(episodes=1) as (agent, environment, begin):
-        waiting = play(agent, "look", {})
-        assert "has not begun" in waiting.text
-        assert play(agent, "act", {"turn": 0, "actions": ["left"]}).error
-        begin.set()
+    agent, environment = Door(GameOptions()), Slow()
+    assert "has not begun" in play(agent, "look", {}).text
+    assert play(agent, "act", {"turn": 0, "actions": ["left"]}).error
+    with session(agent, environment):
         while agent.game.phase is not Phase.CHOOSING:
             play(agent, "look", {})
-        environment.gate.clear()
-        call = {"turn": 1, "actions": ["right*2"]}
-        assert "Repeat this call" in play(agent, "act", call).text
-        assert "Repeat this call" in play(agent, "act", call).text
+        call = {"turn": 1, "actions": ["right*10"]}
+        for _ in range(2):
+            assert "still being played" in play(agent, "act", call).text
+        assert "still being played" in play(agent, "act", {"turn": 2, "actions": ["left"]}).text
         environment.gate.set()
-        while "Repeat" in (answer := play(agent, "act", call)).text:
+        while "Repeat this call" in (answer := play(agent, "act", call)).text:
             pass
-        assert answer.data["steps"] == 2
-        play(agent, "act", {"turn": 2, "actions": ["right*20"]})
+    assert answer.data["steps"] == 10
 
 
 def test_a_client_that_stays_silent_forfeits_when_time_is_limited() -> None:
-    with session(episodes=1, seconds=0.05) as (agent, _, begin):
-        begin.set()
+    agent = Door(GameOptions(seconds=0.05))
+    with session(agent):
+        pass
     assert agent.game.counts.forfeits == 1
-
-
-def test_what_the_client_sent_is_recorded_once() -> None:
-    with session(episodes=1) as (agent, _, begin):
-        begin.set()
-        play(agent, "look", {})
-        for _ in range(2):
-            play(agent, "act", {"turn": 1, "actions": ["right"]})
-        play(agent, "give_up", {"turn": 2})
-    kept = [each["answer"] for each in agent.game.record()["answers"]]
-    assert kept == ['{"turn": 1, "actions": ["right"]}', '{"turn": 2}']
 
 
 def test_without_the_sdk_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
