@@ -38,7 +38,7 @@ SERVER.set_forkserver_preload(
         "env_server.mario.environment",
         "env_server.cli.replay",
         "env_server.toys",
-        "experiment_runner.cli.carrying_out",
+        "experiment_runner.cli.run_plan",
         "experiment_runner.cli.experiment",
         "experiment_runner.cli.results",
         "experiment_runner.competition.board.forms",

@@ -220,7 +220,7 @@ class _Reader:
         self._tiles = np.zeros((self._columns, ROWS), np.uint8)
         self._spawns = np.zeros((self._columns, ROWS), np.uint8)
         self._goal: tuple[int, int] | None = None
-        is_corpus = len(self._rows) <= _CORPUS_ROWS and {*_CORPUS, *"EBb"}.issuperset(*self._rows)
+        is_corpus = len(self._rows) <= _CORPUS_ROWS and {*_CORPUS, *"EBb"}.issuperset("".join(self._rows))
         self._notation = "the Video Game Level Corpus" if is_corpus else "the Mario AI Framework"
         self._known_tiles = _CORPUS if is_corpus else _TILES
         self._known = {*_CORPUS, "E"} if is_corpus else {*_TILES, *_MONSTERS, *_PIPE, *_MARKS}

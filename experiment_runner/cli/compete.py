@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from experiment_runner.cli.out import naming_out
+from experiment_runner.cli.options import naming_out
 from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
 from glue.console import say

@@ -2,52 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, TextIO
+from types import SimpleNamespace
+from typing import Any, Final
 
 import click
-from click.core import ParameterSource
 
-from experiment_runner.cli.backend import backend_options, check_backend
-from experiment_runner.cli.grouped import GroupedCommand
-from experiment_runner.cli.out import results_alone
-from experiment_runner.cli.planning import (
-    ask_for_trust,
-    find_players,
-    make_plan,
-    names_of,
-    own_directory,
-    role_sweeps,
-)
-from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend, HubOptions, Placement, RunConfig
-from experiment_runner.plan.limits import BUDGETS, COUNTS, PLAYERS
-from experiment_runner.plan.metrics import MetricsPlan
-from experiment_runner.plan.plan import Plan, RoleSweep, budget, describe
+from experiment_runner.cli.options import backend_options, check_backend
+from experiment_runner.plan.limits import CHECKPOINT_EVERY, COUNTS, PLAYERS, Backend
 from experiment_runner.view.launch import check_view
 from glue import __version__
-from glue.cli.shared import (
-    HUB_KEY_SETTINGS,
-    KEY_SETTINGS,
-    WAIT_VARIABLE,
-    keys_option,
-    legacy_port_option,
-)
+from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, keys_option, legacy_port_option
 from glue.errors import ConfigError
-from glue.hub.config import (
-    DEFAULT_HUB,
-    DEFAULT_SESSION,
-    HUB_VARIABLE,
-    SESSION_VARIABLE,
-    LegacyPort,
-    check_session,
-    check_url,
-)
-from glue.plugins.naming import complete_names
+from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
+from glue.plugins.naming import NamingCommand, complete_names
 from glue.wire.messages import Role
 
+_ALL: Final = f"{__name__}.all"
 _GROUPS: Final = {
     "Episodes and their results": (
         "--any-reward",
@@ -65,60 +38,49 @@ _GROUPS: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """The command line; see the help of each option."""
+class _GroupedCommand(NamingCommand):
+    """A command whose less common options are in groups.
 
-    plan_file: Path | None
-    episodes: int | None
-    steps: int | None
-    max_steps: int | None
-    trials: int | None
-    seed: int | None
-    environment: str | None
-    agent: str | None
-    env_option: tuple[str, ...]
-    agent_option: tuple[str, ...]
-    in_process: bool
-    inside: tuple[str, ...]
-    workers: int | None
-    engine: str
-    address: str | None
-    sbatch: tuple[str, ...]
-    hub: str | None
-    bind: tuple[str, ...]
-    session: str
-    key: str | None
-    hub_key: str | None
-    wait: float | None
-    legacy_port: tuple[str, ...]
-    keys: Path | None
-    insecure: bool
-    out: Path | None
-    again: bool
-    resume: Path | None
-    trust: bool
-    any_reward: bool
-    checkpoint_every: int
-    record: Path | None
-    ask: tuple[str, ...]
-    metrics_every: int | None
-    view: bool
-    dry_run: bool
-    as_json: bool
+    Args:
+        groups: the flags of each group, by its title; all other options are common.
+    """
 
-    def counts(self) -> dict[str, Any]:
-        """Return the numbers of a plan given on the command line."""
-        counts = {name: getattr(self, name) for name in COUNTS}
-        given = {name: value for name, value in counts.items() if value is not None}
-        return given | ({} if self.metrics_every is None else {"metrics": MetricsPlan(self.metrics_every)})
+    def __init__(self, *arguments: Any, groups: Mapping[str, tuple[str, ...]], **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self._groups = groups
+        self.params.append(
+            click.Option(
+                ["--help-all"],
+                is_flag=True,
+                is_eager=True,
+                expose_value=False,
+                callback=_show_all,
+                help="Show all options and exit.",
+            )
+        )
 
-    def roles(self) -> dict[str, tuple[RoleSweep, ...]]:
-        """Return the agent and the environment in a plan's form."""
-        return {
-            "environments": role_sweeps(Role.ENVIRONMENT, self.environment, self.env_option),
-            "agents": role_sweeps(Role.AGENT, self.agent, self.agent_option),
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the common options, and the groups or where to find them."""
+        lines = {
+            param.opts[-1]: line for param in self.get_params(ctx) if (line := param.get_help_record(ctx))
         }
+        groups = {title: [lines.pop(flag) for flag in flags] for title, flags in self._groups.items()}
+        with formatter.section("Options"):
+            formatter.write_dl(list(lines.values()))
+        if _ALL not in ctx.meta:
+            formatter.write_paragraph()
+            formatter.write_text(f"More by --help-all: {', '.join(title.lower() for title in groups)}.")
+            return
+        for title, group in groups.items():
+            with formatter.section(title):
+                formatter.write_dl(group)
+
+
+def _show_all(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if value:
+        ctx.meta[_ALL] = True
+        click.echo(ctx.get_help())
+        ctx.exit()
 
 
 class _Name(click.types.StringParamType):
@@ -132,7 +94,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     return names[0] if names else None
 
 
-@click.command("glue-experiment", cls=GroupedCommand, groups=_GROUPS)
+@click.command("glue-experiment", cls=_GroupedCommand, groups=_GROUPS)
 @click.option(
     "--env",
     "environment",
@@ -301,127 +263,54 @@ def experiment(**settings: Any) -> int:
       glue-experiment --env mines --agent my.py:Mine --episodes 9 --in-process
       glue-experiment --plan sweep.toml --workers 4 --out runs/sweep
     """
-    with results_alone() if settings["as_json"] else nullcontext() as results:
-        return _experiment(Options(**settings), results)
-
-
-def _experiment(options: Options, results: TextIO | None) -> int:
-    """Carry out the command; `results` receives JSON lines, None for a table on standard output."""
-    from experiment_runner.cli.arrays import carry_out_array
-    from experiment_runner.cli.carrying_out import carry_out, carry_out_search, check_players, check_recording
-
-    plan, given = _planned(options)
-    inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
-    roles = frozenset(PLAYERS[player] for player in inside)
-    placement = Placement(roles, _hub_options(options), any_reward=options.any_reward)
-    backend, questions = Backend(options.engine), tuple(dict.fromkeys(options.ask))
-    config = RunConfig(
-        placement, options.checkpoint_every, backend, options.workers, options.address, questions
+    # Slow to import.
+    from experiment_runner.cli.make_plan import hub_options, names_of, own_directory, planned
+    from experiment_runner.cli.run_plan import (
+        carry_out,
+        carry_out_array,
+        carry_out_search,
+        check_players,
+        check_recording,
+        results_alone,
     )
-    config = replace(config, metrics=plan.metrics)
-    check_backend(config)
-    check_players(config, plan)
-    if options.record is not None:
-        check_recording(config, plan)
-    if options.dry_run:
-        click.echo(describe(plan))
-        return 0
-    if options.sbatch and backend is not Backend.SLURM:
-        raise ConfigError("--sbatch is for --engine slurm")
-    if plan.tune is not None and (options.record or options.view or options.again or options.as_json):
-        raise ConfigError("a plan with a search has no --record, --view, --again or --json")
-    if backend is Backend.SLURM and (options.view or options.as_json):
-        raise ConfigError("a job array runs later: it has no --view and no --json")
-    if options.view:
-        check_view()
-    name = options.plan_file.stem if options.plan_file else names_of(plan)
-    with own_directory(given, name) as directory:
-        if plan.tune is not None:
-            return carry_out_search(directory, plan, config)
-        if backend is Backend.SLURM:
-            return carry_out_array(directory, plan, config, options.sbatch, options.again)
-        return carry_out(directory, plan, config, options.record, results, options.view, options.again)
+    from experiment_runner.executors.settings import Placement, RunConfig
+    from experiment_runner.plan.plan import describe
 
-
-def _planned(options: Options) -> tuple[Plan, Path | None]:
-    """Return the plan that the options describe, and the directory of its run; None for a new one.
-
-    Raises:
-        ConfigError: the options contradict each other, or the plan is wrong.
-        ExperimentError: there is no run to continue, or it cannot be read.
-    """
-    from experiment_runner.executors.opening import recorded_plan
-
-    file, resume = options.plan_file, options.resume
-    if file is not None and (
-        options.agent or options.environment or options.agent_option or options.env_option
-    ):
-        raise ConfigError(
-            f"{file} names the agents and environments: leave out --agent and --env, and write "
-            "their options into the plan, below [agents.NAME] or [environments.NAME], instead of giving "
-            "--agent-option and --env-option"
+    options = SimpleNamespace(**settings)
+    with results_alone() if options.as_json else nullcontext() as results:
+        plan, given = planned(options)
+        inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
+        roles = frozenset(PLAYERS[player] for player in inside)
+        placement = Placement(roles, hub_options(options), any_reward=options.any_reward)
+        backend = Backend(options.engine)
+        config = RunConfig(
+            placement,
+            options.checkpoint_every,
+            backend,
+            options.workers,
+            options.address,
+            questions=tuple(dict.fromkeys(options.ask)),
+            metrics=plan.metrics,
         )
-    counts, roles = options.counts(), options.roles()
-    if resume is None:
-        if options.again and options.out is None:
-            raise ConfigError("--again replaces the run in a directory: name it with --out")
-        plan = make_plan(file, counts, roles)
-        return plan, options.out
-    others = any(roles.values()) or file or options.out or options.again
-    if others or counts.keys() - {*BUDGETS, "trials"}:
-        raise ConfigError(
-            f"--resume continues the run in {resume} with its own plan: "
-            "leave out --plan, --out, --again, and what changes a plan but more --episodes, --steps "
-            "or --trials"
-        )
-    plan = replace(recorded_plan(resume), **budget(counts))
-    if not options.dry_run:
-        if not options.trust:
-            ask_for_trust(resume, plan)
-        find_players(plan)
-    return plan, resume
-
-
-def _hub_options(options: Options) -> HubOptions:
-    """Return the hub that the options describe.
-
-    An environment variable is ignored, not refused, where no hub is used.
-
-    Raises:
-        ConfigError: options contradict each other, or an address is malformed.
-    """
-    in_process = options.in_process or PLAYERS.keys() <= {*options.inside}
-    isolated = in_process or options.workers or options.engine != Backend.LOCAL
-    ours = {"--bind": options.bind, "--legacy-port": options.legacy_port, "--keys": options.keys}
-    hub = None if _from_variable("hub") and (isolated or any(ours.values())) else options.hub
-    session = DEFAULT_SESSION if _from_variable("session") and isolated else options.session
-    found = HubOptions(
-        hub,
-        tuple(dict.fromkeys(options.bind)),
-        check_session(session),
-        options.wait if hub else None,
-        options.insecure,
-        # Each port is opened once, even if it is given twice.
-        tuple(
-            dict.fromkeys(LegacyPort.parse(port, session, options.insecure) for port in options.legacy_port)
-        ),
-        options.key if hub or not _from_variable("key") else None,
-        options.hub_key if hub or not _from_variable("hub_key") else None,
-        options.keys,
-    )
-    theirs = {"--key": found.key, "--hub-key": found.hub_key}
-    flag = next((flag for flag, value in (theirs if hub is None else ours).items() if value), None)
-    if flag is not None and hub is None:
-        raise ConfigError(f"{flag} is for a running hub: name it with --hub")
-    if flag is not None:
-        raise ConfigError(
-            f"{flag} is for a hub that the experiment starts, and --hub names a running one: leave one out"
-        )
-    for url in (*found.bind, *([hub] if hub else [])):
-        check_url(url)
-    return found
-
-
-def _from_variable(option: str) -> bool:
-    """Return whether an option was set by an environment variable."""
-    return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
+        check_backend(config)
+        check_players(config, plan)
+        if options.record is not None:
+            check_recording(config, plan)
+        if options.dry_run:
+            click.echo(describe(plan))
+            return 0
+        if options.sbatch and backend is not Backend.SLURM:
+            raise ConfigError("--sbatch is for --engine slurm")
+        if plan.tune is not None and (options.record or options.view or options.again or options.as_json):
+            raise ConfigError("a plan with a search has no --record, --view, --again or --json")
+        if backend is Backend.SLURM and (options.view or options.as_json):
+            raise ConfigError("a job array runs later: it has no --view and no --json")
+        if options.view:
+            check_view()
+        name = options.plan_file.stem if options.plan_file else names_of(plan)
+        with own_directory(given, name) as directory:
+            if plan.tune is not None:
+                return carry_out_search(directory, plan, config)
+            if backend is Backend.SLURM:
+                return carry_out_array(directory, plan, config, options.sbatch, options.again)
+            return carry_out(directory, plan, config, options.record, results, options.view, options.again)

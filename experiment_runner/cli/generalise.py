@@ -11,11 +11,8 @@ from typing import TypeVar
 
 import click
 
-from experiment_runner.cli.backend import backend_options, check_backend
-from experiment_runner.cli.out import naming_out
-from experiment_runner.cli.planning import own_directory
-from experiment_runner.executors.settings import BOTH, Backend, Placement, RunConfig
-from experiment_runner.plan.plan import RoleSpec
+from experiment_runner.cli.options import backend_options, check_backend, naming_out
+from experiment_runner.plan.limits import Backend
 from glue import __version__
 from glue.console import say
 from glue.plugins.naming import complete_names
@@ -144,7 +141,10 @@ def generalise(
     """
     if context.invoked_subcommand:
         return 0
+    from experiment_runner.cli.make_plan import own_directory
     from experiment_runner.executors.run import run_trials
+    from experiment_runner.executors.settings import BOTH, Placement, RunConfig
+    from experiment_runner.plan.plan import RoleSpec
     from experiment_runner.report.progress import Progress
     from experiment_runner.store.database import reported
     from experiment_runner.study.generalisation.benchmark import (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from experiment_runner.cli.out import naming_out
+from experiment_runner.cli.options import naming_out
 from experiment_runner.plan.plan import Plan, check_options
 from experiment_runner.study.paper.experiments import ALL, EPISODES, EXPERIMENTS, SOAR, TRIALS, plan_of
 from glue import __version__

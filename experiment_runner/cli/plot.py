@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from experiment_runner.cli.out import over_option, select_option, selected
+from experiment_runner.cli.options import over_option, select_option, selected
 from glue import __version__
 from glue.console import say
 from glue.suggestions import did_you_mean

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from queue import SimpleQueue
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Final, Self
 
 import glue.system.forks  # noqa: F401  # for the handlers that are set here
@@ -62,9 +62,7 @@ class Interrupts:
             threading.Thread(target=self._watch, name="interrupts", daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         self._received.put(0)
         for number, handler in self._handlers.items():

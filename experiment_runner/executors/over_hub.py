@@ -104,14 +104,15 @@ def over_hub(
             seeded = offered is None or "seed" in offered
             send(Joined(role, label if opens else name, program if opens else None, seeded))
         if role in expected and event is Event.LOST:
-            hints.show(frozenset({role}))
+            show_missing({role})
 
     with ExitStack() as stack:
         # Entered first, so left last: the children exit after our hub has said goodbye to them.
-        children = stack.enter_context(KeptAlive(say, progress, dismissed=options.hub is None))
+        children = stack.enter_context(ExitStack())
+        started: list[KeptAlive] = []
         if options.hub is not None:
             url = options.hub
-            hints = Hints(say, url, session, named.keys())
+            show_missing = hints(say, url, session, named.keys())
             glue = connect(
                 url,
                 session,
@@ -121,7 +122,7 @@ def over_hub(
                 on_notice=notice,
             )
         else:
-            hub, url, hints = _start_hub(stack, placement, expected, named.keys(), say)
+            hub, url, show_missing = _start_hub(stack, placement, expected, named.keys(), say)
             steps = partial(hub.sessions.num_steps, session)
             transport = InsideTransport(hub, inside, session)
             glue = connect_over(transport, session, on_notice=notice, num_steps=steps)
@@ -133,19 +134,28 @@ def over_hub(
                 if role not in inside:
                     place = {"hub": url, "session": session, "key": options.key, "hub_key": options.hub_key}
                     given = {"options": player.options, "any_reward": placement.any_reward, "place": place}
-                    arguments = [role, player.name, json.dumps(given)]
-                    children.start(f"{role} {player.label}", player_command.MODULE, arguments, glue.give_up)
-            glue.wait_for_players(hints.show)
+                    child = KeptAlive(
+                        f"{role} {player.label}",
+                        player_command.MODULE,
+                        [role, player.name, json.dumps(given)],
+                        say=say,
+                        progress=progress,
+                        give_up=glue.give_up,
+                        dismissed=options.hub is None,
+                    )
+                    started.append(children.enter_context(child))
+            glue.wait_for_players(show_missing)
             yield glue
         except KeyboardInterrupt:
-            children.hurry()
+            for child in started:
+                child.hurry()
             raise
 
 
 def _start_hub(
     stack: ExitStack, placement: Placement, expected: frozenset[Role], named: Collection[Role], say: Say
-) -> tuple[Hub, str, Hints]:
-    """Start a hub; return it, its URL for our children, and the hints for the roles that it waits for."""
+) -> tuple[Hub, str, Callable[[Set[Role]], None]]:
+    """Start a hub; return it, its URL for our children, and the function that shows hints."""
     options = placement.hub
     inside = f"ipc://{stack.enter_context(scratch_folder())}/{SOCKET}"
     # A named role is reserved for our own child: only the child can reach the inside address.
@@ -163,11 +173,18 @@ def _start_hub(
     public = hub.endpoints[1] if binds else inside
     if binds and not expected:
         say(f"observers can join at {public}")
-    return hub, inside, Hints(say, public, options.session, named, ports, options.keys)
+    return hub, inside, hints(say, public, options.session, named, ports, options.keys)
 
 
-class Hints:
-    """Lines that say which players are missing, and which commands start those from outside.
+def hints(
+    say: Say,
+    hub: str,
+    session: str,
+    named: Collection[Role],
+    ports: Sequence[LegacyPort] = (),
+    keys: Path | None = None,
+) -> Callable[[Set[Role]], None]:
+    """Return a function that says which players are missing, and which commands start those from outside.
 
     Args:
         say: shows a line.
@@ -177,35 +194,24 @@ class Hints:
         ports: ports at which original RL-Glue programs join.
         keys: directory of the hub's keys, which players from outside need; None for none.
     """
+    where = "" if hub == DEFAULT_HUB else f" --hub {_from_outside(hub)}"
+    where += "" if session == DEFAULT_SESSION else f" --session {session}"
+    if keys is not None:
+        where += f" --key THEIRS{SECRET} --hub-key {keys / HUB}{PUBLIC}"
+    if legacy := " or ".join(f"{port.host}:{port.port}" for port in ports if port.session == session):
+        where += f"; or an original one on {legacy}"
+    starting: set[Role] = set()
 
-    def __init__(
-        self,
-        say: Callable[[str], None],
-        hub: str,
-        session: str,
-        named: Collection[Role],
-        ports: Sequence[LegacyPort] = (),
-        keys: Path | None = None,
-    ) -> None:
-        self._say = say
-        self._named = named
-        self._starting: set[Role] = set()
-        self._where = "" if hub == DEFAULT_HUB else f" --hub {_from_outside(hub)}"
-        self._where += "" if session == DEFAULT_SESSION else f" --session {session}"
-        if keys is not None:
-            self._where += f" --key THEIRS{SECRET} --hub-key {keys / HUB}{PUBLIC}"
-        legacy = " or ".join(f"{port.host}:{port.port}" for port in ports if port.session == session)
-        self._legacy = f"; or an original one on {legacy}" if legacy else ""
-
-    def show(self, missing: Set[Role]) -> None:
-        """Say that the players of these roles are missing."""
-        for role in sorted(missing - self._starting):
-            if role in self._named:
-                self._starting.add(role)
-                self._say(f"waiting for the {role} to start")
+    def show(missing: Set[Role]) -> None:
+        for role in sorted(missing - starting):
+            if role in named:
+                starting.add(role)
+                say(f"waiting for the {role} to start")
             else:
-                command = f"{_COMMANDS[role]} {example(role)}{self._where}"
-                self._say(f"waiting for an {role}; in another terminal: {command}{self._legacy}")
+                command = f"{_COMMANDS[role]} {example(role)}{where}"
+                say(f"waiting for an {role}; in another terminal: {command}")
+
+    return show
 
 
 def _from_outside(endpoint: str) -> str:

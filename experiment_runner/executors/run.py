@@ -27,9 +27,10 @@ from experiment_runner.executors.job import (
 )
 from experiment_runner.executors.opening import go_back, remaining
 from experiment_runner.executors.ray_cluster import RayExecutor
-from experiment_runner.executors.settings import Backend, RunConfig
+from experiment_runner.executors.settings import RunConfig
 from experiment_runner.executors.trial import run_job
 from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
 from experiment_runner.store.meetings import LiveSession, Meetings

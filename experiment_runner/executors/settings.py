@@ -1,29 +1,17 @@
-"""The settings of a run's execution, which do not affect its results; nothing slow is imported."""
+"""The settings of a run's execution, which do not affect its results."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
+from experiment_runner.plan.limits import CHECKPOINT_EVERY, Backend
 from experiment_runner.plan.metrics import MetricsPlan
 from glue.hub.config import DEFAULT_SESSION, LegacyPort
 from glue.hub.io.listener import OpenAddress
 from glue.wire.messages import Role
-
-CHECKPOINT_EVERY: Final = 100
-"""Default number of episodes between checkpoints."""
-
-
-class Backend(StrEnum):
-    """The place where trials run: this machine, a Ray cluster, or a SLURM job array."""
-
-    LOCAL = "local"
-    RAY = "ray"
-    SLURM = "slurm"
-
 
 BOTH: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
 """Both players."""

@@ -24,12 +24,10 @@ from experiment_runner.executors.job import (
     Start,
     Voided,
 )
-from experiment_runner.executors.metering import Meter
 from experiment_runner.executors.players import open_experiment
-from experiment_runner.executors.recording import Recorder
+from experiment_runner.executors.recording import Meter, Recorder
 from experiment_runner.store.database import StorageError
 from experiment_runner.store.records import (
-    Answer,
     Checkpoint,
     EndedEpisode,
     EpisodeResult,
@@ -227,7 +225,7 @@ class _Trial:
                     self._meter.begin()
                 result = self._episode(self._done + 1, self._steps, self._play)
                 answers = ask(self._glue, self._config.questions)
-                metrics = self._readings(result)
+                played = Recorded(result, None, answers, self._readings(result))
             except PeerLost as error:
                 if self._can_save:
                     raise
@@ -237,7 +235,7 @@ class _Trial:
                 continue
             # Read only once, so that the trial never stops without taking a checkpoint.
             stopping = self._interrupts.requested
-            kept = self._keep(result, answers, metrics, stopping)
+            kept = self._keep(played, stopping)
             if stopping:
                 self._interrupts.check()
 
@@ -313,15 +311,9 @@ class _Trial:
             )
         return result
 
-    def _keep(
-        self,
-        result: EpisodeResult,
-        answers: tuple[Answer, ...],
-        metrics: tuple[Reading, ...],
-        stopping: bool,
-    ) -> bool:
-        """Store a result, with a checkpoint if one is due; return whether both players are still there."""
-        checkpoint, lost, every = None, False, self._config.checkpoint_every
+    def _keep(self, played: Recorded, stopping: bool) -> bool:
+        """Report an episode, with a checkpoint if one is due; return whether both players are still there."""
+        result, checkpoint, lost, every = played.result, None, False, self._config.checkpoint_every
         self._steps += result.steps
         last = self._spec.finished_by(result.episode, self._steps)
         due = every > 0 and result.episode % every == 0
@@ -335,7 +327,7 @@ class _Trial:
             except PeerLost as error:
                 self._report("lost", str(error))
                 lost = True
-        self._send(Recorded(result, checkpoint, answers, metrics))
+        self._send(played._replace(checkpoint=checkpoint))
         self._done = result.episode
         if checkpoint is None:
             if self._can_save:

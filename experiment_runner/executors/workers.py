@@ -15,7 +15,7 @@ import socket
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import FrameType, TracebackType
-from typing import Any, Final, NoReturn, Self
+from typing import Any, Final, NamedTuple, NoReturn, Self
 
 from experiment_runner.executors.dispatcher import HasTrial
 from experiment_runner.executors.interrupts import Interrupts, Terminated
@@ -35,6 +35,15 @@ from glue.errors import ExperimentError
 
 _MODULE: Final = "experiment_runner.executors.workers"
 _CHUNK: Final = 2**18
+
+
+class _Worker(NamedTuple):
+    """A process that runs one trial, and our end of its socket."""
+
+    trial_id: str
+    process: Child
+    socket: socket.socket
+    unpacker: Any
 
 
 class LocalExecutor:
@@ -73,24 +82,27 @@ class LocalExecutor:
         """
         if self._arguments is not None and self._warm is None:
             self._warm = Warm(self._module, self._arguments)
-        worker = _Worker(job.spec.id, self._launch, encode(job), self._reports)
-        self._workers[worker.descriptor] = worker
-        self._poll.register(worker.descriptor, select.POLLIN)
-
-    def _launch(self, descriptor: int) -> Child:
-        if self._warm is not None:
-            return self._warm.start(descriptor)
-        return start(self._module, [str(descriptor)], pass_fds=[descriptor])
+        ours, theirs = socket.socketpair()
+        with theirs:
+            number = theirs.fileno()
+            if self._warm is not None:
+                process: Child = self._warm.start(number)
+            else:
+                process = start(self._module, [str(number)], pass_fds=[number])
+        with contextlib.suppress(OSError):  # the process has ended already, which `_read` will detect
+            ours.sendall(encode(job))
+        self._workers[ours.fileno()] = _Worker(job.spec.id, process, ours, unpacker())
+        self._poll.register(ours, select.POLLIN)
 
     def receive(self, seconds: float) -> list[tuple[str, Any]]:
         """Return reports with the ids of their trials, in order for each trial; wait at most `seconds`."""
         received: list[tuple[str, Any]] = []
         for descriptor, _ in self._poll.poll(seconds * 1000):
             worker = self._workers[descriptor]
-            for report in worker.read():
+            for report in self._read(worker):
                 received.append((worker.trial_id, report))
                 if isinstance(report, (Ended, Lost)):
-                    self._forget(worker)
+                    self._forget(descriptor)
         self._leaving = [process for process in self._leaving if not has_ended(process)]
         return received
 
@@ -100,10 +112,27 @@ class LocalExecutor:
         for worker in self._workers.values():
             worker.process.terminate()
 
-    def _forget(self, worker: _Worker) -> None:
-        del self._workers[worker.descriptor]
-        self._poll.unregister(worker.descriptor)
-        worker.close()
+    def _read(self, worker: _Worker) -> list[Any]:
+        """Return the reports of a worker; the last is `Lost` if it has ended."""
+        reports: list[Any] = []
+        try:
+            data = worker.socket.recv(_CHUNK)
+            worker.unpacker.feed(data)
+            reports += (decode(value, self._reports) for value in worker.unpacker)
+        except ConnectionError:
+            data = b""
+        except (ValueError, ExperimentError) as error:  # the trial's own code wrote to the socket
+            worker.process.kill()
+            return [*reports, Lost(f"its worker sent something other than reports: {error}")]
+        if not data:
+            end(worker.process)
+            reports.append(Lost(f"its worker {how_it_ended(worker.process.returncode)}"))
+        return reports
+
+    def _forget(self, descriptor: int) -> None:
+        worker = self._workers.pop(descriptor)
+        self._poll.unregister(descriptor)
+        worker.socket.close()
         self._leaving.append(worker.process)
 
     def __enter__(self) -> Self:
@@ -114,55 +143,13 @@ class LocalExecutor:
     ) -> None:
         if not self._stopping:
             self.stop()
-        for worker in list(self._workers.values()):
-            self._forget(worker)
+        for descriptor in list(self._workers):
+            self._forget(descriptor)
         interrupted = kind is not None and issubclass(kind, KeyboardInterrupt)
         for process in self._leaving:
             end(process, HURRIED_SECONDS if interrupted else FAREWELL_SECONDS)
         if self._warm is not None:
             self._warm.close()
-
-
-class _Worker:
-    """A process that runs one trial, and our end of its socket."""
-
-    def __init__(
-        self,
-        trial_id: str,
-        launch: Callable[[int], Child],
-        job: bytes,
-        reports: Mapping[str, type[Any]],
-    ) -> None:
-        self.trial_id = trial_id
-        self._reports = reports
-        self._socket, theirs = socket.socketpair()
-        with theirs:
-            self.process = launch(theirs.fileno())
-        self.descriptor = self._socket.fileno()
-        self._unpacker = unpacker()
-        with contextlib.suppress(OSError):  # the process has ended already, which `read` will detect
-            self._socket.sendall(job)
-
-    def read(self) -> list[Any]:
-        """Return the reports received; the last is `Lost` if the worker has ended."""
-        reports: list[Any] = []
-        try:
-            data = self._socket.recv(_CHUNK)
-            self._unpacker.feed(data)
-            reports += (decode(value, self._reports) for value in self._unpacker)
-        except ConnectionError:
-            data = b""
-        except (ValueError, ExperimentError) as error:  # the trial's own code wrote to the socket
-            self.process.kill()
-            return [*reports, Lost(f"its worker sent something other than reports: {error}")]
-        if not data:
-            end(self.process)
-            reports.append(Lost(f"its worker {how_it_ended(self.process.returncode)}"))
-        return reports
-
-    def close(self) -> None:
-        """Close our end of the socket."""
-        self._socket.close()
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Loggers, which send the results of a run to experiment trackers.
 
-Each module is a logger, except `points`, the data that a logger receives, and `stream`, which sends it.
+Each module is a logger, except `stream`, which sends them the points of a run.
 """
 
 from typing import Final

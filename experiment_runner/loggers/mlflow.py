@@ -8,7 +8,7 @@ from typing import Final
 from mlflow import MlflowClient
 from mlflow.entities import Metric, Param
 
-from experiment_runner.loggers.points import Point, Source
+from experiment_runner.loggers.stream import Logger, Point, Source
 
 _TAG: Final = "glue.trial"
 _MOST_METRICS: Final = 1000
@@ -16,7 +16,7 @@ _MOST_PARAMS: Final = 100
 """Maximum number in one request."""
 
 
-class MLflow:
+class MLflow(Logger):
     """Writes to an experiment of MLflow. A value that is written twice is kept once, as its time is the same.
 
     Args:
@@ -46,9 +46,6 @@ class MLflow:
         if finished:
             self._client.set_terminated(self._runs.pop(source.key))
         return True
-
-    def close(self) -> None:
-        """Do nothing: everything was sent."""
 
     def _open(self, source: Source) -> str:
         """Return the id of the trial's run, which is created if it does not exist."""

@@ -8,26 +8,120 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from itertools import groupby
 from pathlib import Path
 from time import time
-from typing import Final
+from typing import Final, NamedTuple, Protocol
+
+import msgspec
 
 from experiment_runner.loggers import LOGGERS
-from experiment_runner.loggers.points import Logger, Source, points_of
-from experiment_runner.store.export import settings_of
+from experiment_runner.store.export import Cell, settings_of
 from experiment_runner.store.layout import STREAMS, check_links, replace_flushed
 from experiment_runner.store.lock import RunLock, lock_holder
+from experiment_runner.store.records import MEASURES, EpisodeResult
 from experiment_runner.store.results import Results
 from glue.console import one_line
 from glue.errors import ConfigError, ExperimentError, GlueError
 from glue.files import read_regular
 from glue.system import chance, clock
+
+
+class Source(NamedTuple):
+    """A trial, as loggers see it: each trial has its own run there.
+
+    key       16 hexadecimal digits, unique among the trials of all runs
+    run       name of the run directory
+    trial     the trial's id
+    settings  its seed, players and their options
+    """
+
+    key: str
+    run: str
+    trial: str
+    settings: Mapping[str, Cell]
+
+    @property
+    def name(self) -> str:
+        """Its display name, which contains the key: results in a directory may be replaced."""
+        return f"{self.run}/{self.trial} {self.key[:6]}"
+
+
+class Point(NamedTuple):
+    """The values of a trial at one of its steps.
+
+    episode  number of the episode, from 1
+    step     steps of the trial until then
+    time     seconds since 1970
+    values   by name; they may be infinite or NaN
+    """
+
+    episode: int
+    step: int
+    time: float
+    values: dict[str, float]
+
+
+class Logger(Protocol):
+    """Receives the points of trials."""
+
+    def write(self, source: Source, points: Sequence[Point], finished: bool) -> bool:
+        """Write points, each later than all before; return whether they would already survive a crash.
+
+        If not, they do once `close` has returned. After a kill, points may be written a second time, which
+        must not show.
+
+        Args:
+            source: their trial.
+            points: one or more.
+            finished: whether they are the trial's last.
+        """
+        ...
+
+    def close(self) -> None:
+        """Finish writing for now."""
+        ...
+
+
+def points_of(results: Results, trial_id: str, after: int, began: float) -> list[Point]:
+    """Return the points of a trial's episodes after number `after`, in order.
+
+    An episode's values are at its last step, those of the agent's metrics where they were read. Times are
+    `began` plus the durations of the trial's episodes until then, so that every call gives the same ones.
+
+    Args:
+        results: of the run.
+        trial_id: of the trial.
+        after: number of an episode.
+        began: seconds since 1970.
+    """
+    found: dict[int, Point] = {}
+    times = [began]
+    step = 0
+    for episode in results.episodes(trial_id):
+        step += episode.steps
+        times.append(times[-1] + episode.wall_time)
+        if episode.episode > after:
+            found[step] = Point(episode.episode, step, times[-1], _values(episode))
+    for name, metric in results.metrics(trial_id).items():
+        for read_in, at, value in zip(*metric, strict=True):
+            if after < (number := int(read_in)) < len(times):
+                point = found.setdefault(int(at), Point(number, int(at), times[number], {}))
+                point.values[f"agent/{name}"] = float(value)
+    return [found[step] for step in sorted(found)]
+
+
+def _values(episode: EpisodeResult) -> dict[str, float]:
+    measures = dict(zip(MEASURES, episode[1:], strict=True))
+    return {f"episode/{name}": float(value) for name, value in measures.items()} | {
+        "episode/number": float(episode.episode)
+    }
+
 
 _TOGETHER: Final = 500
 """Number of episodes written together; after a kill, as many may be written again."""
@@ -47,9 +141,9 @@ class _Position:
         episodes: the number of a trial's episodes that were sent, by id.
     """
 
-    stream: str = field(default_factory=lambda: chance.random_bytes(8).hex())
-    began: float = field(default_factory=time)
-    episodes: dict[str, int] = field(default_factory=dict)
+    stream: str
+    began: float
+    episodes: dict[str, int]
 
 
 def stream(directory: Path, name: str, project: str) -> int:
@@ -74,7 +168,7 @@ def stream(directory: Path, name: str, project: str) -> int:
     lock = RunLock(folder)
     try:
         positions = _read(folder / _POSITIONS)
-        position = positions.setdefault(project, _Position())
+        position = positions.setdefault(project, _Position(chance.random_bytes(8).hex(), time(), {}))
         before = sum(position.episodes.values())
         sent = dict(position.episodes)
 
@@ -152,14 +246,6 @@ def _read(path: Path) -> dict[str, _Position]:
     if not path.exists():
         return {}
     try:
-        text = read_regular(path, _MOST_BYTES)
-        return {str(project): _position(fields) for project, fields in json.loads(text).items()}
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return msgspec.json.decode(read_regular(path, _MOST_BYTES), type=dict[str, _Position])
+    except (OSError, msgspec.DecodeError, RecursionError):
         raise ExperimentError(f"cannot read {path}: it is damaged; remove it to send all again") from None
-
-
-def _position(fields: object) -> _Position:
-    match fields:
-        case {"stream": str(stream), "began": float(began), "episodes": dict(episodes)}:
-            return _Position(stream, began, {str(trial): int(number) for trial, number in episodes.items()})
-    raise ValueError

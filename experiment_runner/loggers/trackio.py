@@ -10,11 +10,11 @@ from contextlib import redirect_stdout
 import trackio
 from trackio.sqlite_storage import SQLiteStorage
 
-from experiment_runner.loggers.points import Point, Source
+from experiment_runner.loggers.stream import Logger, Point, Source
 from glue.errors import ExperimentError
 
 
-class Trackio:
+class Trackio(Logger):
     """Writes to a project.
 
     Args:
@@ -51,6 +51,3 @@ class Trackio:
         if warned:
             raise ExperimentError(f"Trackio warns: {warned[0].message}")
         return True
-
-    def close(self) -> None:
-        """Do nothing: no run is open."""

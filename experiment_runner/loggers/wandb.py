@@ -7,7 +7,7 @@ from typing import Any
 
 import wandb
 
-from experiment_runner.loggers.points import Point, Source
+from experiment_runner.loggers.stream import Point, Source
 
 
 class WeightsAndBiases:

@@ -1,7 +1,10 @@
-"""The numbers of a plan, with the range of each, and its players; of modules that have to start quickly."""
+"""The numbers of a plan and their ranges, and other choices that commands show in their help, which is not to
+wait for slow imports.
+"""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from typing import Final
 
 from glue.wire.messages import Role
@@ -17,3 +20,14 @@ BUDGETS: Final = ("episodes", "steps")
 """The lengths of a trial, of which a plan has one; the other is 0."""
 PLAYERS: Final = {"agent": Role.AGENT, "env": Role.ENVIRONMENT}
 """The players, by their names in options and plans."""
+
+CHECKPOINT_EVERY: Final = 100
+"""Default number of episodes between checkpoints."""
+
+
+class Backend(StrEnum):
+    """The place where trials run: this machine, a Ray cluster, or a SLURM job array."""
+
+    LOCAL = "local"
+    RAY = "ray"
+    SLURM = "slurm"

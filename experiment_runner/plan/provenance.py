@@ -7,6 +7,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -38,8 +39,9 @@ def about() -> dict[str, Any]:
     }
 
 
+@cache
 def program() -> str:
-    """Return this program's version, as in `glue-rl 0.3.0, commit 1a2b3c, modified`."""
+    """Return this program's version, as in `glue-rl 0.3.0, commit 1a2b3c, modified`, as of the first call."""
     parts = [f"glue-rl {__version__}"]
     here = Path(__file__).resolve()
     # An installed copy may be inside another repository, whose commit is irrelevant.
@@ -52,6 +54,7 @@ def program() -> str:
     return ", ".join(parts)
 
 
+@cache
 def _packages() -> dict[str, str]:
     """Return the version of each installed distribution, by name."""
     found = map(_fields, metadata.distributions())

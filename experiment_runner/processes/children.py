@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from types import TracebackType
+from functools import partial
 from typing import IO, Any, Final, Protocol, Self
 
 from experiment_runner.processes.watchdog import spawn, watch_parent
@@ -89,87 +89,65 @@ def _close_pipe(process: Child) -> None:
 
 
 class KeptAlive:
-    """Child processes that are restarted when they are killed, and that end with the context.
+    """A child process that is restarted when it is killed, and that ends with the context.
 
     A child that exits has reported the reason itself, and is not restarted; nor is one that is killed three
     times at the same episode.
 
     Args:
+        label: names it in the lines that are shown.
+        module, arguments: as for `start`.
         say: shows a line; called from any thread.
         progress: returns the number of finished episodes; called from any thread.
-        dismissed: whether the hub tells the children to exit when the context ends; otherwise they are
-            terminated.
+        give_up: called with the reason if it ends for good.
+        dismissed: whether the hub tells it to exit when the context ends; otherwise it is terminated.
+
+    Raises:
+        ExperimentError: it cannot be started.
     """
-
-    def __init__(self, say: Say, progress: Callable[[], int], dismissed: bool) -> None:
-        self._say = say
-        self._progress = progress
-        self._dismissed = dismissed
-        self._farewell = FAREWELL_SECONDS
-        self._children: list[_Child] = []
-
-    def start(
-        self, label: str, module: str, arguments: Sequence[str], give_up: Callable[[str], None]
-    ) -> None:
-        """Start a module; if it ends for good, call `give_up` with the reason.
-
-        Raises:
-            ExperimentError: it cannot be started.
-        """
-        self._children.append(_Child(label, module, arguments, self._say, self._progress, give_up))
-
-    def hurry(self) -> None:
-        """Terminate the children now: the run was interrupted."""
-        self._farewell = HURRIED_SECONDS
-        for child in self._children:
-            child.leave(terminate=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for child in self._children:
-            child.leave(terminate=not self._dismissed)
-        for child in self._children:
-            child.end(self._farewell)
-
-
-class _Child:
-    """One child and the thread that watches it."""
 
     def __init__(
         self,
         label: str,
         module: str,
         arguments: Sequence[str],
+        *,
         say: Say,
         progress: Callable[[], int],
         give_up: Callable[[str], None],
+        dismissed: bool,
     ) -> None:
         self._label = label
-        self._module = module
-        self._arguments = arguments
+        self._start = partial(start, module, arguments)
         self._say = say
         self._progress = progress
         self._give_up = give_up
+        self._dismissed = dismissed
+        self._farewell = FAREWELL_SECONDS
         self._leaving = False
-        self._lock = threading.Lock()  # after `leave` no new process is started
-        self._process = start(module, arguments)
+        self._lock = threading.Lock()  # after `_leave` no new process is started
+        self._process = self._start()
         self._watcher = threading.Thread(target=self._watch, name=label, daemon=True)
         self._watcher.start()
 
-    def leave(self, terminate: bool) -> None:
+    def hurry(self) -> None:
+        """Terminate the child now: the run was interrupted."""
+        self._farewell = HURRIED_SECONDS
+        self._leave(terminate=True)
+
+    def _leave(self, terminate: bool) -> None:
         """Stop restarting the process; terminate it if nothing else tells it to exit."""
         with self._lock:
             first, self._leaving = not self._leaving, True
         if terminate and first:  # a second signal would interrupt its cleanup
             self._process.terminate()
 
-    def end(self, seconds: float) -> None:
-        """Wait for the process to end, as `end` does."""
-        end(self._process, seconds)
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._leave(terminate=not self._dismissed)
+        end(self._process, self._farewell)
         self._watcher.join()
 
     def _watch(self) -> None:
@@ -196,7 +174,7 @@ class _Child:
                     self._give_up(f"{how}, {deaths} times without getting past episode {done}")
                     return
                 _close_pipe(self._process)
-                self._process = start(self._module, self._arguments)
+                self._process = self._start()
             self._say(f"{how}; it is being restarted")
 
 

@@ -13,11 +13,10 @@ from typing import Final
 from experiment_runner.store.database import StorageError
 from experiment_runner.store.lock import LOCK_FILE, DirectoryTaken, NoLocks, RunLock, lock_holder
 from glue.errors import ExperimentError
-from glue.hub.io.listener import is_left_over
 
 _PREFIX: Final = "glue-"
 _OURS: Final = _PREFIX + 8 * "?"
-"""Pattern of names made by `tempfile`. Checking a folder may mean connecting to its socket."""
+"""Pattern of names made by `tempfile`."""
 
 _MAX_PARENT: Final = 80
 """Bytes of the longest path of a folder in which sockets are made: the path of a socket has at most 107."""
@@ -67,14 +66,8 @@ def _remove_abandoned(parent: Path) -> None:
     for folder in parent.glob(_OURS):
         # Only folders that are certainly ours: other programs make folders in /tmp, too.
         with suppress(OSError, ExperimentError):
-            names = {path.name for path in folder.iterdir()}
-            if folder.lstat().st_uid != os.getuid() or not names <= {LOCK_FILE, SOCKET}:
-                continue
-            if LOCK_FILE in names:
-                abandoned = lock_holder(folder) is None
-            else:  # of version 0.1.0, which had no lock
-                abandoned = is_left_over(str(folder / SOCKET))
-            if abandoned:
+            ours = LOCK_FILE in (names := os.listdir(folder)) and {LOCK_FILE, SOCKET}.issuperset(names)
+            if ours and folder.lstat().st_uid == os.getuid() and lock_holder(folder) is None:
                 lock = RunLock(folder)
                 shutil.rmtree(folder, ignore_errors=True)
                 lock.release()

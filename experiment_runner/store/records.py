@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
+
+from msgspec import Meta
 
 from experiment_runner.plan.plan import TrialSpec
 from glue.engine.experiment import Experiment
@@ -183,19 +185,23 @@ class Totals(NamedTuple):
     sum_of_returns: float
 
 
-class Void(NamedTuple):
-    """An attempt at an episode that does not count, because a peer was lost. `time`: seconds since 1970."""
+_Time = Annotated[float, Meta(ge=0, le=253_402_300_799)]
+"""Seconds since 1970, UTC, up to the year 9999, the last that a date can have."""
 
-    time: float
+
+class Void(NamedTuple):
+    """An attempt at an episode that does not count, because a peer was lost."""
+
+    time: _Time
     trial_id: str
     episode: int
     why: str
 
 
 class RunEvent(NamedTuple):
-    """An event of a run, or of one of its trials. `time`: seconds since 1970, UTC."""
+    """An event of a run, or of one of its trials."""
 
-    time: float
+    time: _Time
     trial_id: str | None
     kind: str
     text: str
@@ -204,14 +210,14 @@ class RunEvent(NamedTuple):
 class OutsidePlayer(NamedTuple):
     """A player that joined a trial from outside.
 
-    time      of joining, in seconds since 1970, UTC
+    time      of joining
     trial_id  of the trial
     role      agent or environment
     name      as it called itself
     program   its language or library; None if unknown
     """
 
-    time: float
+    time: _Time
     trial_id: str
     role: str
     name: str

@@ -99,12 +99,13 @@ def _flags(command: click.Command, settings: Sequence[str]) -> list[str]:
     return [options[setting].opts[0] for setting in settings if setting in options]
 
 
-def _prepare(command: click.Command) -> None:
+def prepare(command: click.Command) -> None:
+    """Let a command, and its subcommands that exist by now, report as `reporting` describes."""
     if command.callback is not None:
         command.callback = reporting(command.callback)
     if isinstance(command, click.Group):
         for each in command.commands.values():
-            _prepare(each)
+            prepare(each)
 
 
 class _Printer(logging.Handler):
@@ -126,7 +127,7 @@ def run(command: click.Command) -> NoReturn:
     glue-experiment, unless it declares another one.
     """
     _print_log()
-    _prepare(command)
+    prepare(command)
     prefix = (command.name or "").upper().replace("-", "_")
     try:
         code = command.main(prog_name=command.name, standalone_mode=False, auto_envvar_prefix=prefix)

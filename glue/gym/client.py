@@ -102,7 +102,9 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         self.observation_space: SpaceLike
         self.action_space: SpaceLike
         self.observation_space, self.action_space = read_spaces(spec)
-        self._read = _reader(self.observation_space, spec.observations.stated)
+        self._read: Callable[[Observation], Any] = arrays_of
+        if spec.observations.stated:
+            self._read = Codec(self.observation_space).unpack
         self._actions = Codec(self.action_space)
         self._playing = False
 
@@ -161,8 +163,3 @@ class _StandIn(Agent):
 
     def agent_message(self, message: str) -> str:
         return "I stand in for an experiment that acts itself"
-
-
-def _reader(space: SpaceLike, stated: bool) -> Callable[[Observation], Any]:
-    """Return a function that turns observations into values of their space."""
-    return Codec(space).unpack if stated else arrays_of

@@ -207,12 +207,10 @@ class LegacyExperiment(LegacyPeer):
         self._pending.add(self._connection, self._end, closing=True)
 
     def _end(self, now: float) -> None:
-        """Close the connection, and give up the role."""
         self._connection.close()
         self._leave(now)
 
     def _leave(self, now: float) -> None:
-        """Give up the role."""
         why = "it has closed its connection"
         if ExperimentEvent.REPLY in EXPERIMENT[self._state] and self._request is not None:
             why += f" during {self._request.kind.name}"

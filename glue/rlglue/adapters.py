@@ -58,7 +58,6 @@ class Adapter:
         self._made: Any = None
 
     def _new(self) -> Any:
-        """Return a new object of the class."""
         self._made = self.source(**self._options)
         return self._made
 

@@ -16,10 +16,12 @@ if TYPE_CHECKING:
         def __getattr__(cls, name: str) -> HubRule: ...
 
     class HubRule(StrEnum, metaclass=_AnyName):
-        """Rules for hubs, in the order in which they are judged; see docs/protocol-reference.md."""
+        pass
 
 else:
     HubRule = StrEnum("HubRule", {rule.name.replace("-", "_").upper(): rule.text for rule in RULES})
+
+HubRule.__doc__ = "Rules for hubs, in the order in which they are judged; see docs/protocol-reference.md."
 
 
 def check_hub(url: str, *, wait: float = 10.0) -> None:

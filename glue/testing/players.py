@@ -20,7 +20,7 @@ from glue.errors import GlueError, LocalProtocolError, TaskSpecError
 from glue.global_seeds import globals_restored, seed_globals
 from glue.roles import Agent, AgentLike, Environment, EnvironmentLike, capabilities, completed
 from glue.taskspec import RL_GLUE_3, Range, Ranges, Space, parse_task_spec
-from glue.types import Action, Observation, Step, step_of
+from glue.types import AbstractType, Action, Observation, Step, step_of
 
 if TYPE_CHECKING:
     from glue.testing.hub import HubRule
@@ -108,7 +108,7 @@ def check_agent(
         LocalProtocolError: `observation` is needed, or `factory` is an agent.
     """
     _refuse_player(factory, "agent")
-    _check(lambda: _AgentPlayer(factory(), task_spec, observation, episodes, steps), seed)
+    _check(lambda: _AgentPlayer(factory(), observation, episodes, steps, task_spec=task_spec), seed)
 
 
 def _refuse_player(factory: object, role: str) -> None:
@@ -130,11 +130,19 @@ class _Player(ABC):
 
     prefix: str
     role: Any
+    returns: type[AbstractType]
+    given: type[AbstractType]
+    of_kind: Rule
+    in_space: Rule
 
-    def __init__(self, player: Any, episodes: int, steps: int) -> None:
+    def __init__(
+        self, player: Any, draw: Callable[[np.random.Generator], Any] | None, episodes: int, steps: int
+    ) -> None:
         self.player = completed(player, self.role)
+        self.draw = draw or self.drawn_from_the_task_spec
         self.episodes = episodes
         self.steps = steps
+        self.own = self.partners = Space(stated=False)  # of what the player returns, and of what it is given
         self.seedable = "seed" in capabilities(player)
         self.saveable = "save" in capabilities(player)
         required = sorted(self.role.__abstractmethods__)
@@ -172,6 +180,23 @@ class _Player(ABC):
         kind = type(answer).__name__
         return ContractBroken(rule, f"{self.prefix}{method} returned {answer!r:.80}, of type {kind}")
 
+    def checked(self, method: str, value: object) -> Any:
+        """Return an observation or action of the player, which must be in its space."""
+        if type(value) is not self.returns:
+            raise self.wrong(self.of_kind, method, value)
+        wrong = self.own.check(value)
+        if wrong is not None:
+            raise ContractBroken(self.in_space, f"{self.prefix}{method} returned {value!r}: {wrong}")
+        return value
+
+    def drawn_from_the_task_spec(self, generator: np.random.Generator) -> Any:
+        if not self.partners.stated:
+            given, role = self.given.__name__.lower(), self.role.__name__.lower()
+            raise LocalProtocolError(
+                f"the task spec does not state the {given}s: give check_{role} `{given}`"
+            )
+        return self.given(*self.partners.sample(generator))
+
     def send_messages(self) -> None:
         for message in _MESSAGES:
             answer = self.call("message", message)
@@ -196,16 +221,8 @@ class _Player(ABC):
 class _EnvironmentPlayer(_Player):
     prefix = "env_"
     role = Environment
-
-    def __init__(
-        self,
-        player: EnvironmentLike,
-        action: Callable[[np.random.Generator], Action] | None,
-        episodes: int,
-        steps: int,
-    ) -> None:
-        super().__init__(player, episodes, steps)
-        self.action = action or self.draw_action
+    returns, given = Observation, Action
+    of_kind, in_space = Rule.OBSERVATION, Rule.OBSERVATION_SPACE
 
     def init(self, seed: int) -> Trace:
         if self.seedable:
@@ -213,7 +230,7 @@ class _EnvironmentPlayer(_Player):
         task_spec = self.call("init")
         if not isinstance(task_spec, str):
             raise self.wrong(Rule.TASK_SPEC, "init", task_spec)
-        self.observations = self.actions = Space(stated=False)
+        self.own = self.partners = Space(stated=False)
         self.rewards = Range()
         try:
             spec = parse_task_spec(task_spec)
@@ -221,7 +238,7 @@ class _EnvironmentPlayer(_Player):
             if task_spec.lstrip()[:7].upper() == "VERSION":
                 raise ContractBroken(Rule.TASK_SPEC, f"{error}; in {task_spec!r}") from None
         else:
-            self.observations, self.actions = spec.observations, spec.actions
+            self.own, self.partners = spec.observations, spec.actions
             # Mario-v1 gives the range of single rewards, which add up within a step.
             self.rewards = spec.rewards if spec.version == RL_GLUE_3 else Range()
         return [("env_init", task_spec)]
@@ -231,13 +248,13 @@ class _EnvironmentPlayer(_Player):
         for episode in range(self.episodes):
             trace.append((f"env_start of episode {episode}", self.start(generator)))
             for step in range(self.steps):
-                answer = self.step(self.action(generator))
+                answer = self.step(self.draw(generator))
                 trace.append((f"env_step {step} of episode {episode}", answer))
                 if answer.terminal:
                     break
         return trace
 
-    def start(self, generator: np.random.Generator) -> Observation:
+    def start(self, generator: np.random.Generator) -> object:
         return self.checked("start", self.call("start"))
 
     def step(self, action: Action) -> Step:
@@ -254,42 +271,20 @@ class _EnvironmentPlayer(_Player):
         self.checked("step", observation)
         return step_of(self.player, answer)
 
-    def checked(self, method: str, observation: object) -> Observation:
-        if type(observation) is not Observation:
-            raise self.wrong(Rule.OBSERVATION, method, observation)
-        wrong = self.observations.check(observation)
-        if wrong is not None:
-            raise ContractBroken(Rule.OBSERVATION_SPACE, f"env_{method} returned {observation!r}: {wrong}")
-        return observation
-
-    def draw_action(self, generator: np.random.Generator) -> Action:
-        if not self.actions.stated:
-            raise LocalProtocolError(
-                "the task spec does not state the actions: give check_environment `action`"
-            )
-        return Action(*self.actions.sample(generator))
-
 
 class _AgentPlayer(_Player):
     prefix = "agent_"
     role = Agent
+    returns, given = Action, Observation
+    of_kind, in_space = Rule.ACTION, Rule.ACTION_SPACE
 
-    def __init__(
-        self,
-        player: AgentLike,
-        task_spec: str,
-        observation: Callable[[np.random.Generator], Observation] | None,
-        episodes: int,
-        steps: int,
-    ) -> None:
-        super().__init__(player, episodes, steps)
+    def __init__(self, *arguments: Any, task_spec: str) -> None:
+        super().__init__(*arguments)
         self.task_spec = task_spec
-        self.observation = observation or self.draw_observation
-        self.observations = self.actions = Space(stated=False)
         rewards = Range()
         with contextlib.suppress(TaskSpecError):
             spec = parse_task_spec(task_spec)
-            self.observations, self.actions, rewards = spec.observations, spec.actions, spec.rewards
+            self.own, self.partners, rewards = spec.actions, spec.observations, spec.rewards
         self.rewards = Space(doubles=Ranges.of(rewards))
 
     def init(self, seed: int) -> Trace:
@@ -304,30 +299,15 @@ class _AgentPlayer(_Player):
         for episode in range(self.episodes):
             trace.append((f"agent_start of episode {episode}", self.start(generator)))
             for step in range(int(generator.integers(self.steps, endpoint=True))):
-                reward, observation = self.draw_reward(generator), self.observation(generator)
+                reward, observation = self.draw_reward(generator), self.draw(generator)
                 action = self.checked("step", self.call("step", reward, observation))
                 trace.append((f"agent_step {step} of episode {episode}", action))
             if episode % 2 == 0:  # The others are truncated, of which an agent is not notified.
                 self.call("end", self.draw_reward(generator))
         return trace
 
-    def start(self, generator: np.random.Generator) -> Action:
-        return self.checked("start", self.call("start", self.observation(generator)))
-
-    def checked(self, method: str, action: object) -> Action:
-        if type(action) is not Action:
-            raise self.wrong(Rule.ACTION, method, action)
-        wrong = self.actions.check(action)
-        if wrong is not None:
-            raise ContractBroken(Rule.ACTION_SPACE, f"agent_{method} returned {action!r}: {wrong}")
-        return action
-
-    def draw_observation(self, generator: np.random.Generator) -> Observation:
-        if not self.observations.stated:
-            raise LocalProtocolError(
-                "the task spec does not state the observations: give check_agent `observation`"
-            )
-        return Observation(*self.observations.sample(generator))
+    def start(self, generator: np.random.Generator) -> object:
+        return self.checked("start", self.call("start", self.draw(generator)))
 
     def draw_reward(self, generator: np.random.Generator) -> float:
         return float(self.rewards.sample(generator)[1][0])

@@ -78,7 +78,6 @@ class _Writer:
         self._send(self._pack.flush())
 
     def _begin(self, record: bytes) -> None:
-        """Begin an episode with its first record."""
         self._size = 0
         self._grow(record)
         self._in_episode = True
@@ -93,7 +92,6 @@ class _Writer:
             raise LocalProtocolError("no run is open: a recording starts with run() and ends with close()")
 
     def _grow(self, record: bytes) -> None:
-        """Write a record of the open episode."""
         self._size += len(record)
         if self._size > limits.MAX_EPISODE:
             raise LocalProtocolError(f"an episode of more than {limits.MAX_EPISODE} bytes cannot be recorded")

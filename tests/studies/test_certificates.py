@@ -11,7 +11,28 @@ from env_server.mario.level_sets import LEVEL_SETS, LevelSet
 from experiment_runner.cli.generalise import generalise
 from experiment_runner.study.generalisation.benchmark import read_scores
 from experiment_runner.study.generalisation.verification import differences, solvable
+from studies import certificates as search
 from studies.certificates import certificates
+
+
+def test_a_level_without_a_way_is_told_apart_from_one_that_was_searched_too_little(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wall, floor = ("-" * 7 + "#" + "-" * 12 + "\n") * 14, "X" * 20
+    for name, text in (("flat", floor), ("wall", wall + floor)):
+        (tmp_path / f"{name}.txt").write_text(text)
+
+    def lines() -> list[str]:
+        out = tmp_path / f"{search._SIMS}.json"
+        done = CliRunner().invoke(certificates, [str(tmp_path), "--out", str(out)], catch_exceptions=False)
+        return [line for line in done.stdout.splitlines() if ".txt: " in line]
+
+    monkeypatch.setattr(search, "_SIMS", 60_000)
+    [line] = lines()
+    assert line.startswith("wall.txt: no way among all states that the search tells apart (")
+    monkeypatch.setattr(search, "_SIMS", 1_000)
+    [line] = lines()
+    assert line.startswith("wall.txt: no way was found in 2,")
 
 
 @pytest.mark.parametrize("name", ["certificates.json", "certificates.json.gz"])

@@ -88,54 +88,45 @@ def events(directory: Path) -> list[tuple[str, str | None, str]]:
 
 
 def test_results_do_not_depend_on_the_processes(tmp_path: Path) -> None:
-    plan = (*SARSA, "--episodes", 40, "--trials", 3)
+    plan = (*SARSA, "--episodes", 10, "--trials", 2)
     for how, name in (
         (("--in-process",), "one"),
         ((), "three"),
         (("--inside", "env"), "two"),
         (("--inside", "env", "--inside", "agent"), "one with a hub"),
         (("--in-process", "--workers", 2), "workers"),
-        (("--workers", 3), "workers with players of their own"),
+        (("--workers", 2), "workers with players of their own"),
     ):
         done = run(*plan, *how, "--out", name, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         assert contents(tmp_path / name) == contents(tmp_path / "one")
-    episodes, checkpoint = contents(tmp_path / "one")["sarsa/mines/2"]
-    assert [episode[0] for episode in episodes] == list(range(1, 41))
+    episodes, checkpoint = contents(tmp_path / "one")["sarsa/mines/1"]
+    assert [episode[0] for episode in episodes] == list(range(1, 11))
     assert checkpoint is not None
 
 
-@pytest.mark.parametrize(
-    ("how", "why"),
-    [
-        ("raise", "agent Faulty raised in agent_start: ValueError: a mistake"),
-        ("exit", "SystemExit: 3"),
-        ("SIGKILL", "its worker was killed by signal 9, 3 times without progress"),
-    ],
-)
-def test_trial_that_crashes_is_recorded_and_the_rest_go_on(folder: Path, how: str, why: str) -> None:
-    (folder / "plan.toml").write_text(
-        f"""episodes = 10
-[environments.mines]
-[agents.good]
-class = "faulty.py:Faulty"
-[agents.bad]
-class = "faulty.py:Faulty"
-how = "{how}"
-[agents.best]
-class = "sarsa"
-"""
-    )
+CRASHES = {
+    "raise": "agent Faulty raised in agent_start: ValueError: a mistake",
+    "exit": "SystemExit: 3",
+    "SIGKILL": "its worker was killed by signal 9, 3 times without progress",
+}
+
+
+def test_trial_that_crashes_is_recorded_and_the_rest_go_on(folder: Path) -> None:
+    agents = [
+        f'[agents.{how or "good"}]\nclass = "faulty.py:Faulty"\nhow = "{how}"' for how in ("", *CRASHES)
+    ]
+    plan = ["episodes = 10", "[environments.mines]", *agents, '[agents.best]\nclass = "sarsa"']
+    (folder / "plan.toml").write_text("\n".join(plan))
     done = run("--plan", "plan.toml", "--in-process", "--workers", 2, "--out", "run", cwd=folder)
     assert done.returncode == 1, done.stderr
-    assert f"failed: bad/mines/0: {why}" in done.stdout
-    assert f"bad/mines/0: Error: {why}" in done.stderr
-    assert failures(folder / "run") == {"good/mines/0": None, "bad/mines/0": why, "best/mines/0": None}
-    assert {name: len(of[0]) for name, of in contents(folder / "run").items()} == {
-        "good/mines/0": 10,
-        "bad/mines/0": 6,
-        "best/mines/0": 10,
-    }
+    expected: dict[str, str | None] = {f"{how}/mines/0": why for how, why in CRASHES.items()}
+    for trial, why in expected.items():
+        assert f"failed: {trial}: {why}" in done.stdout
+        assert f"{trial}: Error: {why}" in done.stderr
+    assert failures(folder / "run") == {"good/mines/0": None, **expected, "best/mines/0": None}
+    done_of = {name: len(of[0]) for name, of in contents(folder / "run").items()}
+    assert done_of == {"good/mines/0": 10, **dict.fromkeys(expected, 6), "best/mines/0": 10}
 
 
 @pytest.mark.parametrize("agent", ["Faulty", "Forgetful"])
@@ -174,14 +165,14 @@ def test_player_that_is_killed_at_one_point_again_and_again_is_given_up(folder: 
 
 
 def test_player_that_is_killed_at_one_point_after_another_goes_on(folder: Path) -> None:
-    plan = (*MINES, "--agent", "faulty.py:Mortal", "--episodes", 5)
+    plan = (*MINES, "--agent", "faulty.py:Mortal", "--episodes", 3)
     assert run(*plan, "--in-process", "--out", "undisturbed", cwd=folder).returncode == 0
     options = ("--agent-option", "how=SIGKILL", "--agent-option", "once=mark")
     done = run(*plan, *options, "--out", "run", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert contents(folder / "run") == contents(folder / "undisturbed")
     with Results.open(folder / "run") as results:
-        assert [void.episode for void in results.voids()] == [1, 2, 3, 4, 5]
+        assert [void.episode for void in results.voids()] == [1, 2, 3]
 
 
 @contextmanager
@@ -222,7 +213,6 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
     ("number", "code", "how"),
     [
         (signal.SIGINT, 130, ()),
-        (signal.SIGINT, 130, ("--workers", 2)),
         (signal.SIGINT, 130, ("--in-process",)),
         (signal.SIGTERM, 143, ("--workers", 2)),
     ],
@@ -239,6 +229,7 @@ def test_interrupted_run_leaves_nobody_and_goes_on(
     assert errors.count("interrupted") == 1, errors
     assert "Traceback" not in errors
     assert not any(map(alive, everybody))
+    (slowed / "there").unlink()
     assert run("--resume", "run", "--in-process", "--trust", cwd=slowed).returncode == 0
     assert contents(slowed / "run") == undisturbed
 

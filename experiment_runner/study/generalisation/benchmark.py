@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from env_server.mario import InfiniteMario
-from env_server.mario.level_sets import VERSION
+from env_server.mario.level_sets import VERSION, LevelFolder
 from experiment_runner.executors.opening import Definition, open_run
 from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.plan.plan import RoleSpec, RoleSweep, TrialSpec
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from experiment_runner.study.generalisation.players import (
@@ -26,6 +26,7 @@ from experiment_runner.study.generalisation.players import (
     LAST_REWARD,
     NumberedLevels,
     SetBack,
+    level_set,
     scored_levels,
 )
 from experiment_runner.study.generalisation.summary import Document
@@ -179,8 +180,8 @@ def open_benchmark(directory: Path, benchmark: Benchmark, say: Callable[[str], N
 
     Raises:
         ConfigError: the directory is not a run of `glue-generalise`.
-        ExperimentError: the run is of another benchmark, or of an agent's file that has changed since, is in
-            use, or cannot be written to.
+        ExperimentError: the run is of another benchmark, or of the file of an agent or a level that has
+            changed since, is in use, or cannot be written to.
     """
 
     def check(store: Store) -> None:
@@ -190,7 +191,11 @@ def open_benchmark(directory: Path, benchmark: Benchmark, say: Callable[[str], N
             raise ExperimentError(f"{directory} is the run of another benchmark ({'; '.join(changed)})")
 
     specs, files = benchmark.trials(), {BENCHMARK_FILE: benchmark.dump()}
-    players = [benchmark.player(seed) for seed in benchmark.seeds]
+    players: list[RoleSpec | RoleSweep] = [benchmark.player(seed) for seed in benchmark.seeds]
+    sets = map(level_set, dict.fromkeys([benchmark.train, *benchmark.columns.values()]))
+    for levels in sets:
+        if isinstance(levels, LevelFolder):
+            players.append(RoleSweep("mario", {"level": tuple(str(path) for path, _ in levels.files)}))
     return open_run(directory, Definition(specs, files, players, check), say=say)
 
 

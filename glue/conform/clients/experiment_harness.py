@@ -19,6 +19,7 @@ from glue.wire.messages import CALLS, Event, Kind, Message, Role, Value
 SPEC: Final = "a task for a mirror, größer als nötig".encode()
 SEEN: Final = Observation([3, 5], [0.5], b"ab")
 DONE: Final = Action([7], [-0.25], b"c")
+BOTH: Final = SEEN.body + DONE.body
 
 _NOTHING: Final = Observation()
 
@@ -68,10 +69,10 @@ class ExperimentHarness(Harness):
     def _episode() -> list[Order]:
         return [
             Order("RL_INIT", b"2026", body=SPEC),
-            Order("RL_START", body=SEEN.body + DONE.body),
-            Order("RL_STEP", scalars=(-1.0, False), body=SEEN.body + DONE.body),
+            Order("RL_START", body=BOTH),
+            Order("RL_STEP", scalars=(-1.0, False), body=BOTH),
             Order("RL_AGENT_MESSAGE", b"how are you?", body=b"well"),
-            Order("RL_STEP", scalars=(0.25, True), body=SEEN.body + DONE.body),
+            Order("RL_STEP", scalars=(0.25, True), body=BOTH),
             Order("RL_RETURN", scalars=(-0.75,)),
             Order("RL_EPISODE", b"100", scalars=(True,)),
             Order("RL_NUM_EPISODES", scalars=(2,)),

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from glue.conform import forms
 from glue.conform.clients.connection import Gone
-from glue.conform.clients.experiment_harness import DONE, SEEN, SPEC, ExperimentHarness, Order
+from glue.conform.clients.experiment_harness import BOTH, DONE, SEEN, SPEC, ExperimentHarness, Order
 from glue.conform.clients.harness import MAX_BODY, Harness
 from glue.conform.clients.mirror import result
 from glue.conform.forms import CHARS, DOUBLES, EMPTY, INTS, MANY, NOT_UTF_8, REWARDS, TEXTS
@@ -26,13 +27,12 @@ RULES: Final = Rules((Role.EXPERIMENT,))
 @RULES.add(Tier.PLAYS, "what-the-calls-mean")
 def calls(kit: ExperimentHarness) -> None:
     """Every request is made, and its reply understood."""
-    both = SEEN.body + DONE.body
     kit.do(
         Order("RL_INIT", body=SPEC),
         Order("RL_INIT", b"9223372036854775807", body=b""),
-        Order("RL_START", body=both),
-        Order("RL_STEP", scalars=(1.5, False), body=both),
-        Order("RL_STEP", scalars=(-1.5, True), body=both),
+        Order("RL_START", body=BOTH),
+        Order("RL_STEP", scalars=(1.5, False), body=BOTH),
+        Order("RL_STEP", scalars=(-1.5, True), body=BOTH),
         Order("RL_EPISODE", b"0", scalars=(True,)),
         Order("RL_EPISODE", b"1000000", scalars=(False,)),
         Order("RL_RETURN", scalars=(-100.25,)),
@@ -130,7 +130,7 @@ def rewards(kit: ExperimentHarness) -> None:
     for reward in REWARDS:
         kit.do(
             Order("RL_RETURN", scalars=(reward,)),
-            Order("RL_STEP", scalars=(reward, True), body=SEEN.body + DONE.body),
+            Order("RL_STEP", scalars=(reward, True), body=BOTH),
             Order("RL_AGENT_END", reward=reward),
         )
 
@@ -159,7 +159,7 @@ def widths(kit: ExperimentHarness) -> None:
 def integer_terminal(kit: ExperimentHarness) -> None:
     """Terminal may be an integer: all except 0 are true."""
     for terminal, form in forms.truths():
-        order = Order("RL_STEP", scalars=(1.0, terminal), body=SEEN.body + DONE.body)
+        order = Order("RL_STEP", scalars=(1.0, terminal), body=BOTH)
         kit.asks(order)
         header = forms.header(int(Kind.RL_STEP), kit.session, kit.request.seq, [forms.float_64(1.0), form])
         kit.send_frames((header, order.body))
@@ -260,25 +260,24 @@ def errors(kit: ExperimentHarness) -> None:
         (ErrorCode.PEER_FAILED, "the environment größer: division by zero"),
         (ErrorCode.UNSUPPORTED, "the agent does not save"),
     ):
-        kit.asks(Order("RL_STEP", scalars=(1.0, False), body=SEEN.body + DONE.body))
+        kit.asks(Order("RL_STEP", scalars=(1.0, False), body=BOTH))
         kit.send(Kind.ERROR, code, text, seq=kit.request.seq)
         kit.take(kit.showing(result(chars=f"ERROR {code} {text}".encode())))
-    kit.do(Order("RL_START", body=SEEN.body + DONE.body))
+    kit.do(Order("RL_START", body=BOTH))
 
 
 @RULES.add(Tier.COMPLETE, "capabilities", needs=("integer-terminal",), level=Requirement.MAY)
 def truncate(kit: ExperimentHarness) -> None:
     """The terminal 2 says that the episode was truncated, not terminated."""
-    both = SEEN.body + DONE.body
     for order in (
-        Order("RL_STEP", scalars=(1.0, CUT_OFF), body=both),
+        Order("RL_STEP", scalars=(1.0, CUT_OFF), body=BOTH),
         Order("RL_ENV_STEP", b"xyz", DONE, scalars=(1.0, CUT_OFF), body=SEEN.body),
         Order("RL_EPISODE", b"0", scalars=(CUT_OFF,)),
     ):
         kit.asks(order)
         kit.send_frames(kit.reply(order).frames)
         _cut_off(kit, order)
-    kit.do(Order("RL_STEP", scalars=(1.0, True), body=both))
+    kit.do(Order("RL_STEP", scalars=(1.0, True), body=BOTH))
 
 
 def _cut_off(kit: ExperimentHarness, order: Order) -> None:
@@ -363,7 +362,7 @@ def max_body(kit: ExperimentHarness) -> None:
     _gives_up(kit, f"a body of more than {limit} bytes", lambda message: len(message.body) > limit)
 
 
-def _gives_up(kit: ExperimentHarness, what: str, wrong: Any) -> None:
+def _gives_up(kit: ExperimentHarness, what: str, wrong: Callable[[Message], bool]) -> None:
     """Expect anything except one message: the client leaves, sends another message, or sends nothing."""
     with suppress(Gone):
         while (frames := kit.heard(4 * kit.quiet)) is not None:

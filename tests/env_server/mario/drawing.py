@@ -23,13 +23,13 @@ def draw_picture(rng: np.random.Generator, columns: int = 80) -> str:
         here = slice(column, min(column + width, columns - 10))
         match int(rng.integers(7)):
             case 0:
-                cells[:, here.start : here.start + int(rng.integers(2, 13))] = "-"
+                cells[:, here.start : here.start + int(rng.integers(2, 9))] = "-"
             case 1:
-                floor = int(rng.integers(8, 15))
+                floor = int(rng.integers(max(floor - 4, 8), 15))
                 cells[:, here.start :] = "-"
                 cells[floor:, here.start :] = "X"
             case 2:
-                cells[floor - int(rng.integers(1, 8)) : floor, here.start] = "#"
+                cells[floor - int(rng.integers(1, 6)) : floor, here.start] = "#"
             case 3:
                 top = floor - int(rng.integers(2, 5))
                 cells[top:floor, here.start : here.start + 2] = "T" if rng.integers(2) else "t"

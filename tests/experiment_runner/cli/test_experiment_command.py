@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from experiment_runner.cli.experiment import experiment
-from experiment_runner.cli.planning import own_directory
+from experiment_runner.cli.make_plan import own_directory
 from experiment_runner.plan.file import load_plan
 from experiment_runner.report.overview import as_text
 from experiment_runner.store.results import Results
@@ -20,7 +20,6 @@ from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError, HubUnreachable
 from tests import forked
 from tests.system.runs import contents
-from tests.terminal import run_anew
 
 PLAN = """episodes = 3
 max_steps = 20
@@ -86,7 +85,7 @@ def invoke(*arguments: str) -> Result:
 
 def invoke_anew(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command in a process that has not imported another class of the same name."""
-    return run_anew("glue-experiment", *arguments, "--in-process", cwd=Path.cwd())
+    return forked.run("glue-experiment", *arguments, cwd=Path.cwd())
 
 
 def refused(*arguments: str) -> str:
@@ -133,10 +132,12 @@ def test_finished_run_says_so_and_is_extended_or_replaced() -> None:
 def test_run_begun_with_an_older_version_of_a_file_is_not_continued() -> None:
     Path("constants.py").write_text("SPEED = 1")
     Path("mine.py").write_text("import constants\nfrom agents.baselines import RandomAgent as Mine")
-    run = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--max-steps", "9", "--out", "run")
+    few = ("--episodes", "1", "--max-steps", "9", "--in-process")
+    run = ("--env", "mines", "--agent", "mine.py:Mine", *few, "--out", "run")
     started = [invoke_anew(*run)]
     Path("constants.py").write_text("SPEED = 2")
-    started += [invoke_anew(*run), invoke_anew("--resume", "run", "--trust"), invoke_anew(*run, "--again")]
+    resumed = ("--resume", "run", "--trust", "--in-process")
+    started += [invoke_anew(*run), invoke_anew(*resumed), invoke_anew(*run, "--again")]
     assert [one.returncode for one in started] == [0, 1, 1, 0]
     for one in started[1:3]:
         assert f"{Path('constants.py').absolute()} has changed since" in one.stderr
@@ -158,31 +159,30 @@ def test_help_fits_on_a_screen_and_all_options_are_in_its_longer_form() -> None:
 def test_breakpoint_in_a_process_of_its_own_says_where_it_works() -> None:
     Path("mine.py").write_text(STOPPING)
     run = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--max-steps", "9")
-    result = invoke(*run)
-    assert result.return_value == 1
-    assert "--in-process" in result.output
+    shown = invoke_anew(*run)
+    assert shown.returncode == 1
+    assert "--in-process" in shown.stderr
 
 
 def test_bind_serves_observers_if_no_player_is_expected() -> None:
     Path("mine.py").write_text(OBSERVED)
     run = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--max-steps", "9")
     address = f"ipc://{Path('hub').absolute()}"
-    result = invoke(*run, "--bind", address)
-    assert result.return_value == 0, result.output
+    shown = invoke_anew(*run, "--bind", address)
+    assert shown.returncode == 0, shown.stderr
     assert Path("seen").exists()
 
 
 def test_player_that_takes_no_seed_is_repeatable_from_the_global_generators_and_named_once() -> None:
     Path("mine.py").write_text(UNSEEDED)
     run = ("--env", "mine.py:Maze", "--agent", "mine.py:Mine", "--episodes", "3", "--max-steps", "50")
-    ways = {"inside": ("--in-process",), "again": ("--in-process",), "processes": ()}
-    ways["beside the hub"] = ("--inside", "env")
-    done = {name: invoke(*run, *way, "--out", name) for name, way in ways.items()}
+    ways = {"inside": ("--in-process",), "again": ("--in-process",), "beside the hub": ("--inside", "env")}
     episodes = {}
-    for name, result in done.items():
-        assert result.return_value == 0, result.output
-        assert result.stderr.count("the environment Maze has no env_seed") == 1
-        assert "the agent Mine has no" not in result.stderr
+    for name, way in ways.items():
+        shown = invoke_anew(*run, *way, "--out", name)
+        assert shown.returncode == 0, shown.stderr
+        assert shown.stderr.count("the environment Maze has no env_seed") == 1
+        assert "the agent Mine has no" not in shown.stderr
         with Results.open(Path(name)) as results:
             episodes[name] = results.measure("Mine/Maze/0", "steps").tolist()
             assert as_text([results]).count("the environment Maze has no env_seed") == 1
@@ -262,11 +262,11 @@ class Loud(RandomAgent):
 """
 
 
-@pytest.mark.parametrize("way", [("--in-process",), ("--workers", "1"), ()])
+@pytest.mark.parametrize("way", [("--in-process",), ("--workers", "1")])
 def test_json_stands_alone_on_standard_output_whatever_players_print(way: tuple[str, ...]) -> None:
     Path("loud.py").write_text(LOUD)
     run = ("--env", "mines", "--agent", "loud.py:Loud", "--episodes", "2", "--max-steps", "9", "--json")
-    shown = forked.run("glue-experiment", *run, *way, cwd=Path.cwd())
+    shown = invoke_anew(*run, *way)
     assert shown.returncode == 0
     assert [len(json.loads(line)) for line in shown.stdout.splitlines()][:2] == [5, 5]
     assert "a new episode" in shown.stderr

@@ -5,6 +5,7 @@ import io
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click import UsageError
+from click import Context, UsageError
 from click.testing import CliRunner, Result
 from pyarrow import parquet
 
@@ -45,16 +46,24 @@ def result(trial: int, episode: int) -> EpisodeResult:
 def make(directory: Path, lengths: list[int], plan: Plan = PLAN) -> Path:
     """Make a run with these numbers of episodes in its trials."""
     with open_run(directory, plan, clock=lambda: 1_000_000_000.0) as store:
-        for trial, (spec, length) in enumerate(zip(plan.expand(), lengths, strict=True)):
-            for episode in range(1, length + 1):
-                checkpoint = Checkpoint(b"%d" % episode) if episode == 2 else None
-                store.record(spec.id, result(trial, episode), checkpoint)
+        checkpoints = {2: Checkpoint(b"2")}
+        if records := [
+            (spec.id, result(trial, episode), checkpoints.get(episode), (), ())
+            for trial, (spec, length) in enumerate(zip(plan.expand(), lengths, strict=True))
+            for episode in range(1, length + 1)
+        ]:
+            store.record_all(records)
     return directory
 
 
+@pytest.fixture(scope="module")
+def _made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make(tmp_path_factory.mktemp("made") / "run", [4, 4, 4, 3])
+
+
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
-    return make(tmp_path / "run", [4, 4, 4, 3])
+def run(_made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(_made, tmp_path / "run"))
 
 
 def call(*arguments: object) -> str:
@@ -504,3 +513,10 @@ def test_plot_of_a_run_under_way_draws_what_there_is(tmp_path: Path) -> None:
     assert draw(make(tmp_path / "run", [4, 2, 0, 0]), out).exception is None
     assert out.stat().st_size > 1000
     assert "nothing to draw yet" in str(draw(make(tmp_path / "empty", [0, 0, 0, 0]), out).exception)
+
+
+def test_the_list_of_subcommands_has_the_first_sentence_of_each() -> None:
+    for name, listed in results.commands.items():
+        _, command, _ = results.resolve_command(Context(results), [name])
+        assert command is not None
+        assert listed.get_short_help_str(200) == command.get_short_help_str(200)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,7 @@ from tests.forked import run
 from tests.terminal import drawings, run_in_terminal, watched_terminal
 
 
+@cache
 def learned(episodes: int) -> bytes:
     """Return the save of a SARSA agent after `episodes` episodes in the mines."""
     agent = SarsaAgent()
@@ -85,9 +87,9 @@ def test_watch_plays_unseen_episodes_first_and_says_how_the_others_went(tmp_path
 
 
 def test_watch_shows_what_was_learned(tmp_path: Path) -> None:
-    (tmp_path / "mines.agent").write_bytes(learned(1000))
+    (tmp_path / "mines.agent").write_bytes(learned(200))
     greedy = SarsaAgent(learning=False, epsilon=0)
-    players: dict[str, AgentLike] = {"loaded": Trained(greedy, learned(1000)), "new": greedy}
+    players: dict[str, AgentLike] = {"loaded": Trained(greedy, learned(200)), "new": greedy}
     ways = {}
     for way, agent in players.items():
         with local(agent, MinesEnvironment()) as glue:
@@ -106,19 +108,19 @@ MISTAKES = {
     "no file": (["sarsa", "--load", "nothing.agent"], "cannot read nothing.agent"),
     "a folder": (["sarsa", "--load", "folder"], "is a directory"),
     "a damaged file": (["sarsa", "--load", "damaged.agent"], "save is damaged"),
-    "another agent's file": (["hierarchical", "--load", "mines.agent"], "saved by 'sarsa'"),
+    "another agent's file": (["linear", "--load", "mines.agent"], "saved by 'sarsa'"),
     "an agent that cannot load": (["mine.py:Plain", "--load", "mines.agent"], "Plain cannot load"),
     "no speed": (["sarsa", "--speed", "0"], "0.1<=x<=1000"),
     "marks that nobody draws": (["sarsa", "--plan"], "leave --plan out"),
     "no films of this": (["sarsa", "--gif", "a.gif"], "there are no films of MinesEnvironment"),
-    "no plan": (["hierarchical", "--plan"], "no plan to draw"),
+    "no plan": (["random", "--plan"], "no plan to draw"),
 }
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_mistake_is_answered_in_a_line(mistake: str, tmp_path: Path) -> None:
     arguments, advice = MISTAKES[mistake]
-    environment = "mario" if arguments[0] == "hierarchical" else "mines"
+    environment = "mario" if mistake == "no plan" else "mines"
     (tmp_path / "folder").mkdir()
     (tmp_path / "mine.py").write_text("class Plain: pass")
     (tmp_path / "mines.agent").write_bytes(learned(3))

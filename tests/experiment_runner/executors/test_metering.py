@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.executors.job import Start
-from experiment_runner.executors.metering import Meter
-from experiment_runner.executors.recording import Recorder
+from experiment_runner.executors.recording import Meter, Recorder
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import TrialSpec

@@ -9,6 +9,8 @@ from types import ModuleType
 
 import pytest
 
+from env_server.mario.pictures import digest_of
+from experiment_runner.cli.make_plan import make_plan, role_sweeps
 from experiment_runner.executors.opening import OtherRun, Remaining, open_run, remaining
 from experiment_runner.plan.file import dump_plan, load_plan
 from experiment_runner.plan.plan import Plan, RoleSweep
@@ -18,6 +20,7 @@ from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
+from glue.wire.messages import Role
 
 PLAN = Plan(episodes=5, trials=4, agents=(RoleSweep("sarsa", {"step_size": 0.5}),))
 DONE, CHECKPOINTED, PLAIN, UNTOUCHED = (spec.id for spec in PLAN.expand())
@@ -126,6 +129,24 @@ def test_changed_file_is_named_and_the_run_left_as_it_is(tmp_path: Path) -> None
     assert refused.value.differences == [f"{weights} has changed since"]
     remove_run(directory)
     assert not directory.exists()
+
+
+def test_a_run_on_the_level_of_a_file_is_of_that_file(tmp_path: Path) -> None:
+    level, directory = tmp_path / "level.txt", tmp_path / "run"
+    level.write_text("X" * 20)
+
+    def plan() -> Plan:
+        sweeps = role_sweeps(Role.ENVIRONMENT, "mario", (f"level={level}", "instance=9"))
+        return make_plan(None, {"episodes": 1}, {"environments": sweeps})
+
+    options = plan().environments[0].options
+    assert options == {"level": str(level), "instance": 9, "level_digest": digest_of(level)}
+    open_run(directory, plan()).close()
+    open_run(directory, plan()).close()
+    assert json.loads((directory / ABOUT_FILE).read_text())["files"][str(level)]["sha256"] == digest_of(level)
+    level.write_text("X" * 21)
+    with pytest.raises(OtherRun, match=r"level\.txt has changed since"):
+        open_run(directory, plan())
 
 
 def test_module_without_a_file_is_no_file_of_the_user(

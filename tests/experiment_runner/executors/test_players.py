@@ -13,7 +13,7 @@ import pytest
 from agents.baselines import SkeletonAgent
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.executors.job import Line, Report
-from experiment_runner.executors.over_hub import Hints
+from experiment_runner.executors.over_hub import hints
 from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.executors.settings import BOTH, HubOptions, Placement
@@ -52,20 +52,19 @@ def test_hint_says_where_others_can_join(
     url: str, session: str, ports: Sequence[LegacyPort], hint: str
 ) -> None:
     lines: list[str] = []
-    hints = Hints(lines.append, url, session, {Role.ENVIRONMENT}, ports)
+    show = hints(lines.append, url, session, {Role.ENVIRONMENT}, ports)
     for missing in (BOTH, {Role.AGENT}, BOTH):
-        hints.show(missing)
+        show(missing)
     agent = f"waiting for an agent; in another terminal: glue-agent hierarchical{hint}"
     assert lines == [agent, "waiting for the environment to start", agent, agent]
 
 
-@pytest.mark.parametrize("url", ["tcp://0.0.0.0:*", "tcp://*:*"])
-def test_hint_has_the_port_of_the_hub(url: str) -> None:
+def test_hint_has_the_port_of_the_hub() -> None:
     def send(report: Report) -> None:
         if isinstance(report, Line) and report.line.startswith("waiting for an agent"):
             raise Heard(report.line)
 
-    placement = Placement(hub=HubOptions(bind=(url,), insecure=True))
+    placement = Placement(hub=HubOptions(bind=("tcp://*:*",), insecure=True))
     with (
         pytest.raises(Heard, match=r"--hub tcp://HOST:\d+$"),
         open_experiment(REMOTE, placement, send, lambda: 0),
@@ -118,41 +117,35 @@ def test_reward_that_is_not_finite_is_noticed_in_a_list_too() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reward", "in_process"), [(math.nan, True), (math.inf, True), (-math.inf, True), (math.nan, False)]
+    ("placement", "reward"),
+    [*((Placement(BOTH), reward) for reward in (math.nan, math.inf, -math.inf)), (Placement(), math.nan)],
 )
 def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
-    tmp_path: Path, in_process: bool, reward: float
+    tmp_path: Path, placement: Placement, reward: float
 ) -> None:
     (tmp_path / "odd.py").write_text(REWARDS)
     environment = RoleSpec(f"{tmp_path}/odd.py:Odd", {"reward": str(reward)})
-    spec = TrialSpec(
-        TrialId("skeleton/Odd/0"), RoleSpec("skeleton"), environment, episodes=1, max_steps=0, seed=1
-    )
-    for any_reward in (False, True):
-        placement = Placement(BOTH if in_process else frozenset(), any_reward=any_reward)
-        with open_experiment(spec, placement, lambda report: None, lambda: 0) as glue:
+    spec = replace(REMOTE, agent=RoleSpec("skeleton"), environment=environment)
+    with open_experiment(spec, placement, lambda report: None, lambda: 0) as glue:
+        glue.rl_init(1)
+        with pytest.raises(PeerFailed, match=f"Odd.* step 3 is {reward}"):
+            glue.rl_episode(10)
+    if placement.in_process:
+        with open_experiment(spec, Placement(BOTH, any_reward=True), lambda report: None, lambda: 0) as glue:
             glue.rl_init(1)
-            if any_reward:
-                glue.rl_episode(10)
-                assert not math.isfinite(glue.rl_return())
-            else:
-                with pytest.raises(PeerFailed, match=f"Odd.* step 3 is {reward}"):
-                    glue.rl_episode(10)
-
-
-class Stopped(Exception):
-    """The trial need not continue."""
+            glue.rl_episode(10)
+            assert not math.isfinite(glue.rl_return())
 
 
 def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
     """The line is printed again, since the terminal has scrolled by then."""
-    hints: list[str] = []
+    shown: list[str] = []
     leaves = threading.Event()
 
     def send(report: Report) -> None:
         if found := re.search(r"waiting for an agent; .* --hub (\S+)'", str(report)):
-            hints.append(found[0])
-            if len(hints) == 1:
+            shown.append(found[0])
+            if len(shown) == 1:
                 threading.Thread(target=leave_after_a_step, args=(found[1],), daemon=True).start()
 
     class Leaving(SkeletonAgent):
@@ -171,5 +164,5 @@ def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
         with pytest.raises(PeerLost):
             glue.rl_episode(9)
         assert leaves.is_set()
-    assert len(hints) == 2
-    assert hints[0] == hints[1]
+    assert len(shown) == 2
+    assert shown[0] == shown[1]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import resource
 import signal
-import subprocess
-import sys
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -24,6 +23,7 @@ from experiment_runner.executors.trial import run_job
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
+from glue.client.players import serve_environment
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment, local
 from glue.errors import ConfigError, PeerLost
@@ -33,11 +33,6 @@ from glue.wire.messages import Kind
 from tests.experiment_runner.executors.test_trial import Forgetful, Kept, mines, play
 from tests.system.runs import contents, start, wait_until
 
-PLAYERS: Final = {  # environment, agent, step limit that cuts off some episodes
-    "mines": ("sarsa", 30),
-    "skeleton": ("skeleton", 80),
-    "mario": ("sample", 120),
-}
 COMMAND: Final = ("--env", "mines", "--agent", "random", "--max-steps", "9", "--in-process")
 
 
@@ -75,10 +70,12 @@ def in_results(directory: Path) -> list[tuple[float, int, bool]]:
 
 
 @pytest.mark.parametrize(
-    ("name", "how"), [*((name, ("--in-process",)) for name in PLAYERS), ("skeleton", ())]
+    ("name", "agent", "max_steps", "how"),
+    [("mines", "sarsa", 30, ("--in-process",)), ("skeleton", "skeleton", 80, ())],  # limits that cut off some
 )
-def test_recorded_run_has_the_usual_results_and_replays(name: str, how: tuple[str, ...]) -> None:
-    agent, max_steps = PLAYERS[name]
+def test_recorded_run_has_the_usual_results_and_replays(
+    name: str, agent: str, max_steps: int, how: tuple[str, ...]
+) -> None:
     command = ("--env", name, "--agent", agent, "--episodes", "6", "--max-steps", max_steps, "--seed", "3")
     assert invoke(*command, "--in-process", "--out", "usual").return_value == 0
     assert invoke(*command, *how, "--out", "run", "--record", "run.traj").return_value == 0
@@ -90,26 +87,13 @@ def test_recorded_run_has_the_usual_results_and_replays(name: str, how: tuple[st
     assert (run.environment, dict(run.options), run.state) == (name, {}, b"")
 
 
-@pytest.mark.parametrize("max_steps", [0, 1, 2])
-def test_step_limits_are_those_of_an_episode(max_steps: int) -> None:
-    command = ("--env", "skeleton", "--agent", "skeleton", "--in-process", "--max-steps", max_steps)
-    assert invoke(*command, "--episodes", "2", "--out", "usual").return_value == 0
-    assert invoke(*command, "--episodes", "2", "--out", "run", "--record", "run.traj").return_value == 0
-    assert contents(Path("run")) == contents(Path("usual"))
-    assert numbers(counting(Path("run.traj"))) == in_results(Path("run"))
-
-
 def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> None:
-    module = [sys.executable, "-m", "glue_rl", "environment"]
-    with subprocess.Popen(
-        [*module, "mines", "--random-start", "--hub", "ipc://meeting", "--quiet"]
-    ) as environment:
-        command = ("--agent", "sarsa", "--episodes", "5", "--bind", "ipc://meeting", "--record", "run.traj")
-        try:
-            assert invoke(*command, "--out", "run").return_value == 0
-            assert environment.wait(60) == 0
-        finally:
-            environment.kill()
+    url = "ipc://hub"
+    outside = threading.Thread(target=serve_environment, args=(mines(), url))
+    outside.start()
+    command = ("--agent", "sarsa", "--episodes", "5", "--bind", url, "--record", "run.traj")
+    assert invoke(*command, "--out", "run").return_value == 0
+    outside.join()
     found = episodes(Path("run.traj"))
     assert numbers(found) == in_results(Path("run"))
     assert {episode.run.environment for episode in found} == {""}

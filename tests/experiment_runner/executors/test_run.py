@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.settings import collect
-from experiment_runner.cli.carrying_out import resume_command
+from experiment_runner.cli.run_plan import resume_command
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Job, Joined, Line, Lost, Recorded, Report
@@ -129,7 +129,7 @@ def losses() -> dict[str, list[int]]:
 
 @pytest.mark.parametrize(
     ("plan", "size", "whole"),
-    [*((PLAN, size, "undisturbed") for size in (1, 2, 5)), *((STEPS, size, "budgeted") for size in (1, 2))],
+    [(PLAN, 1, "undisturbed"), (PLAN, 5, "undisturbed"), (STEPS, 2, "budgeted")],
 )
 def test_lost_trials_end_as_undisturbed_ones(
     plan: Plan, size: int, whole: str, request: pytest.FixtureRequest, tmp_path: Path

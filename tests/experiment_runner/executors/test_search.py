@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.stats import interquartile_mean
-from experiment_runner.executors.samplers import Configuration, Score, sampler_of
-from experiment_runner.executors.search import RESULT, SEARCH, tune
+from experiment_runner.executors.search import RESULT, SEARCH, Configuration, Score, sampler_of, tune
 from experiment_runner.executors.settings import BOTH, Placement, RunConfig
 from experiment_runner.plan.file import dump_plan, parse_plan
 from experiment_runner.plan.plan import Plan
@@ -24,7 +23,7 @@ from tests.system.runs import contents
 
 PLAN = parse_plan("""
 episodes = 8
-max_steps = 150
+max_steps = 30
 
 [tune]
 configurations = 6
@@ -113,7 +112,7 @@ def test_the_best_configuration_runs_again_with_other_seeds(tmp_path: Path, prun
         assert "6 configurations" in event.text
 
 
-@pytest.mark.parametrize(("sampler", "budget"), [("random", {"episodes": 0, "steps": 301}), ("optuna", {})])
+@pytest.mark.parametrize(("sampler", "budget"), [("random", {"episodes": 0, "steps": 121}), ("optuna", {})])
 def test_an_interrupted_search_comes_to_the_same_choice(
     tmp_path: Path, sampler: str, budget: dict[str, int]
 ) -> None:

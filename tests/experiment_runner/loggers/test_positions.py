@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.loggers import LOGGERS
-from experiment_runner.loggers.points import points_of
-from experiment_runner.loggers.stream import stream
+from experiment_runner.loggers.stream import points_of, stream
 from experiment_runner.store.layout import remove_run
 from experiment_runner.store.lock import DirectoryTaken, RunLock
 from experiment_runner.store.results import Results

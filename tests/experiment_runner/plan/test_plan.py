@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import experiment_runner.plan.file as plan_file
-from experiment_runner.cli.planning import make_plan
+from experiment_runner.cli.make_plan import make_plan
 from experiment_runner.plan.file import dump_plan, load_plan, parse_plan
 from experiment_runner.plan.limits import PLAYERS
 from experiment_runner.plan.plan import (

@@ -20,8 +20,15 @@ def test_player_that_cannot_be_restarted_is_given_up(tmp_path: Path, monkeypatch
         given_up.set()
 
     before = set(children(os.getpid()))
-    with KeptAlive(lambda line: None, lambda: 0, dismissed=False) as kept:
-        kept.start("agent Lazy", "http.server", ["--bind", "127.0.0.1", "0"], give_up)
+    with KeptAlive(
+        "agent Lazy",
+        "http.server",
+        ["--bind", "127.0.0.1", "0"],
+        say=lambda line: None,
+        progress=lambda: 0,
+        give_up=give_up,
+        dismissed=False,
+    ):
         monkeypatch.setattr("sys.executable", str(tmp_path / "no such program"))
         for child in set(children(os.getpid())) - before:
             os.kill(child, signal.SIGKILL)

@@ -6,8 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.slurm.batch import array_script, check_folder, check_options, gathering_job
-from experiment_runner.slurm.parts import divide, gather
+from experiment_runner.slurm.array import (
+    array_script,
+    check_folder,
+    check_options,
+    divide,
+    gather,
+    gathering_job,
+)
 from experiment_runner.store.layout import PARTS, parts_of, runs_under
 from experiment_runner.store.lock import DirectoryTaken
 from experiment_runner.store.results import Results
@@ -19,13 +25,20 @@ from tests.system.test_workers import SARSA
 PLAN = (*SARSA, "--episodes", 6, "--trials", 5, "--in-process", "--checkpoint-every", 2)
 
 
+@pytest.fixture(scope="module")
+def whole_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run of five trials."""
+    folder = tmp_path_factory.mktemp("finished")
+    assert run(*PLAN, "--out", "whole", cwd=folder).returncode == 0
+    return folder / "whole"
+
+
 @pytest.fixture
-def begun(tmp_path: Path) -> Path:
-    """A run of five trials, of which the first two are finished and the third has begun."""
-    assert run(*PLAN, "--out", "whole", cwd=tmp_path).returncode == 0
-    with Results.open(tmp_path / "whole") as whole:
+def begun(whole_run: Path, tmp_path: Path) -> Path:
+    """The same run, of which the first two trials are finished and the third has begun."""
+    with Results.open(whole_run) as whole:
         specs = [trial.spec for trial in whole.trials()]
-        files = {name: (tmp_path / "whole" / name).read_text() for name in ("plan.toml", "run.json")}
+        files = {name: (whole_run / name).read_text() for name in ("plan.toml", "run.json")}
 
         def fill(store: Store) -> None:
             for spec in specs[:3]:
@@ -46,10 +59,10 @@ def test_parts_hold_the_unfinished_trials_with_their_progress(begun: Path) -> No
         "1": ["sarsa/mines/3"],
     }
     assert held["0"]["sarsa/mines/2"] == contents(begun)["sarsa/mines/2"]
-    assert list(runs_under(begun.parent)) == [begun, begun.parent / "whole"]  # the parts are not listed
+    assert list(runs_under(begun.parent)) == [begun]  # the parts are not listed
 
 
-def test_what_the_parts_have_done_is_the_run_s(begun: Path, tmp_path: Path) -> None:
+def test_what_the_parts_have_done_is_the_run_s(begun: Path, whole_run: Path, tmp_path: Path) -> None:
     with Store.open(begun) as store:
         divide(store, 1000)
     for part in parts_of(begun)[1:]:
@@ -65,7 +78,7 @@ def test_what_the_parts_have_done_is_the_run_s(begun: Path, tmp_path: Path) -> N
         assert [event.text for event in store.events() if event.kind == "lost"] == ["its worker was lost"]
     assert contents(begun)["sarsa/mines/2"] == before
     assert run("--resume", begun, "--in-process", cwd=tmp_path).returncode == 0
-    assert contents(begun) == contents(tmp_path / "whole")
+    assert contents(begun) == contents(whole_run)
 
 
 def test_a_part_that_is_being_continued_stays(begun: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.executors.job import Start
-from experiment_runner.executors.metering import Meter
+from experiment_runner.executors.recording import Meter
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import Checkpoint, EpisodeResult, Reading
@@ -83,8 +83,8 @@ def test_readings_after_a_checkpoint_go_with_its_episodes(store: Store) -> None:
     [
         ("UPDATE readings SET data = x'00'", "values of metrics without a name"),
         (f"UPDATE readings SET data = x'{32 * 'ff'}'", "no whole number"),
-        ("UPDATE readings SET data = 'text'", "a str where a bytes"),
-        ("UPDATE metric_names SET names = x'00'", "a bytes where a str"),
+        ("UPDATE readings SET data = 'text'", "got `str`"),
+        ("UPDATE metric_names SET names = x'00'", "got `bytes`"),
     ],
 )
 def test_readings_that_no_run_has_are_one_clear_error(store: Store, statement: str, what: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -34,15 +35,21 @@ PLAN = Plan(
 MUTATIONS = size(40, 1000)
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
-    with open_run(tmp_path / "run", PLAN, clock=lambda: 1e9) as store:
+@pytest.fixture(scope="module")
+def _sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("sound") / "run"
+    with open_run(made, PLAN, clock=lambda: 1e9) as store:
         for spec in PLAN.expand():
             for episode in range(1, 21):
                 store.record(spec.id, EpisodeResult(episode, 1.5, 9, True, 0.1), Checkpoint(b"saved"))
             store.record_void(spec.id, 21, "the agent was lost")
         store.record_failure(PLAN.expand()[1].id, "it broke")
-    return tmp_path / "run"
+    return made
+
+
+@pytest.fixture
+def run(_sound: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(_sound, tmp_path / "run"))
 
 
 def read_all(run: Path) -> None:
@@ -83,13 +90,11 @@ ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c)"
         (("DROP TABLE voids",), "'voids'"),
     ],
 )
-@pytest.mark.parametrize("opener", [Results.open, Store.open])
-def test_database_with_other_tables_is_refused(
-    run: Path, statements: tuple[str, ...], what: str, opener: type[Results]
-) -> None:
+def test_database_with_other_tables_is_refused(run: Path, statements: tuple[str, ...], what: str) -> None:
     change(run, *statements)
-    with pytest.raises(ExperimentError, match=what):
-        opener(run)  # type: ignore[call-arg]
+    for opener in (Results.open, Store.open):
+        with pytest.raises(ExperimentError, match=what):
+            opener(run)
 
 
 @pytest.mark.parametrize(
@@ -100,15 +105,15 @@ def test_database_with_other_tables_is_refused(
         ('UPDATE trials SET agent = \'{"name": 1, "options": {}, "label": ""}\'', "of sarsa"),
         ("UPDATE trials SET agent = replace(hex(zeroblob(50000)), '00', '[')", "of sarsa"),
         ("UPDATE trials SET id = CAST(x'ff' AS TEXT) WHERE key = 1", "UTF-8"),
-        ("UPDATE trials SET episodes = -1", "-1 for the episodes"),
+        ("UPDATE trials SET episodes = -1", "int` >= 0"),
         ("UPDATE trials SET max_steps = 'many'", "str"),
         ("UPDATE episodes SET episode_return = 'much'", "str"),
         ("UPDATE episodes SET steps = x'00'", "bytes|float"),
         ("DELETE FROM episodes WHERE episode = 3", "missing|checkpoint"),
         ("UPDATE checkpoints SET episode = 1000", "1000"),
         ("UPDATE checkpoints SET agent = 'text'", "str"),
-        ("UPDATE events SET time = 1e300", "time"),
-        ("UPDATE voids SET time = -1", "time"),
+        ("UPDATE events SET time = 1e300", "float` <= 2"),
+        ("UPDATE voids SET time = -1", "float` >= 0"),
         ("UPDATE events SET time = 'today'", "str"),
     ],
 )

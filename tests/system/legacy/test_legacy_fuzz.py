@@ -137,6 +137,9 @@ SCENES: dict[str, Scene] = {
 @pytest.mark.parametrize("scene", SCENES)
 def test_any_bytes_leave_the_hub_and_other_sessions_unharmed(arena: Arena, scene: str) -> None:
     spoken = (HANDSHAKE, FROM_AGENT, FROM_ENVIRONMENT, FROM_EXPERIMENT)
+    # An experiment whose data ends may be owed replies, and stays until the hub's timeout.
+    may_be_owed = scene.startswith(("experiment", "without"))
+    ends = ["", "reset"] if may_be_owed else ["", "reset", "close", "close_writing"]
     for seed in range(size(4, 200)):
         random = Random(f"{scene} {seed}")
         data = b"".join(conversation(random, random.choice(spoken))) + random.randbytes(
@@ -145,7 +148,7 @@ def test_any_bytes_leave_the_hub_and_other_sessions_unharmed(arena: Arena, scene
         connection = SCENES[scene](arena)
         with suppress(OSError):  # the hub may drop the connection in the middle
             connection.send_raw(data[random.choice([0, 0, 0, 1]) : len(data) - random.choice([0, 0, 1, 7])])
-            if end := random.choice(["", "close", "close_writing", "reset"]):
+            if end := random.choice(ends):
                 getattr(connection, end)()
         arena.check()
 

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from env_server.mario import InfiniteMario
-from env_server.mario.level_sets import LEVEL_SETS, LevelSet, resolve_levels
+from env_server.mario.level_sets import LEVEL_SETS, LevelFolder, LevelSet, resolve_levels
 from experiment_runner.cli.generalise import generalise
 from experiment_runner.store.database import StorageError
 from experiment_runner.study.generalisation.players import LAST_REWARD, NumberedLevels, SetBack, level_set
@@ -148,6 +148,34 @@ def test_a_benchmark_continues_from_what_both_players_have_saved() -> None:
             glue.rl_env_load(saved[0])
             glue.rl_agent_load(saved[1])
             assert first + episodes(glue, 19 - at) == whole
+
+
+def test_levels_in_the_files_of_a_folder_are_a_set(tmp_path: Path) -> None:
+    folder, out = tmp_path / "levels", tmp_path / "scores.json"
+    folder.mkdir()
+    flat, wall = "X" * 30, ("-" * 20 + "#" + "-" * 9 + "\n") * 14 + "X" * 30
+    (folder / "wall.txt").write_text(wall)
+    (folder / "flat.txt").write_text(flat)
+    (folder / "notes.md").write_text("no level")
+    arguments = ["--agent", "run-right", "--set", str(folder), "--seed", "1", "--out", str(out)]
+    done = CliRunner().invoke(generalise, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    document = json.loads(out.read_text())
+    [name] = document["sets"]
+    levels = level_set(name)
+    assert isinstance(levels, LevelFolder)
+    assert [levels.title(number) for number in levels.numbers] == ["flat.txt", "wall.txt"]
+    assert [score["goal"] for score in document["trials"][0][name]] == [True, False]
+    assert CliRunner().invoke(generalise, ["verify", str(out)]).exit_code == 0
+    (folder / "flat.txt").write_text(wall)
+    with pytest.raises(ExperimentError, match=r"flat\.txt has changed since"):
+        CliRunner().invoke(generalise, arguments, catch_exceptions=False)
+    with pytest.raises(ConfigError, match="have changed: their digest is"):
+        CliRunner().invoke(generalise, ["verify", str(out)], catch_exceptions=False)
+    with pytest.raises(ConfigError, match=r"flat\.txt has changed"):
+        levels.level(TASK, 0)
+    with pytest.raises(ConfigError, match=r"has 0 levels \*\.txt: expected 1 to 10000"):
+        level_set(str(tmp_path))
 
 
 def test_scores_are_those_of_the_level(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,43 +1,71 @@
-"""Carry out a plan for a person or a script: with progress, a recording, a page, and a table at the end."""
+"""Run a plan for a person or a script: with progress, a recording, a page, and a table at the end.
+
+Or submit it as a job array of SLURM, and gather the results.
+"""
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TextIO
+from typing import Final, TextIO
 
 import click
 
-from experiment_runner.cli.out import naming_out
-from experiment_runner.cli.planning import without_seed
-from experiment_runner.executors.opening import (
-    FINISH,
-    finished_at,
-    kept_if_begun,
-    open_run,
-    remaining,
-)
+from experiment_runner.cli.options import naming_out
+from experiment_runner.executors.opening import FINISH, finished_at, kept_if_begun, open_run, remaining
 from experiment_runner.executors.recording import recorded
 from experiment_runner.executors.run import run_trials
 from experiment_runner.executors.settings import HubOptions, RunConfig
 from experiment_runner.plan.limits import PLAYERS
 from experiment_runner.plan.plan import Plan, class_files
+from experiment_runner.report.overview import date
 from experiment_runner.report.progress import JsonLines, Progress
-from experiment_runner.report.tables import summarize, tabulate, terminal_width
-from experiment_runner.store.layout import clear
+from experiment_runner.report.tables import counted, summarize, tabulate, terminal_width
+from experiment_runner.slurm import array
+from experiment_runner.slurm.array import divide, gather
+from experiment_runner.store.database import holds_run, reported
+from experiment_runner.store.layout import PARTS, clear, replace_flushed
 from experiment_runner.store.records import TUNED, UNSEEDED
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from experiment_runner.view.launch import viewed
 from glue.cli.screen import has_color
 from glue.console import one_line, say
-from glue.errors import ConfigError
+from glue.errors import ConfigError, ExperimentError
+from glue.files import read_text
 from glue.hub.config import DEFAULT_SESSION
+from glue.plugins.loading import find, without_seed
+from glue.wire.messages import Role
+
+_PROGRAM: Final = (sys.executable, "-P", "-m", "glue_rl")
+_SCRIPT: Final = "array.sh"
+_JOB: Final = "job"
+"""Files in the folder of the parts: the script of the array, and its job number."""
+
+
+@contextmanager
+def results_alone() -> Iterator[TextIO]:
+    """Yield standard output for results alone: whatever else is printed there goes to standard error.
+
+    That is also what players print, in this process, in compiled code or in processes of their own.
+    """
+    results = sys.stdout
+    with ExitStack() as stack:
+        with suppress(OSError):  # a test's buffer, which has no descriptor
+            number = results.fileno()
+            results.flush()
+            ours = os.dup(number)
+            results = stack.enter_context(open(ours, "w", encoding="utf-8"))
+            os.dup2(sys.stderr.fileno(), number)
+            stack.callback(os.dup2, ours, number)
+        stack.enter_context(redirect_stdout(sys.stderr))
+        yield results
 
 
 def carry_out(
@@ -109,7 +137,7 @@ def carry_out(
 
 def carry_out_search(directory: Path, plan: Plan, config: RunConfig) -> int:
     """Search for the options of a plan's agents, and run the chosen ones; return the exit code."""
-    from experiment_runner.executors.search import tune
+    from experiment_runner.executors.search import tune  # slow to import
 
     progress = Progress(color=has_color(sys.stderr))
     again = "the same command, with --out " + shlex.quote(str(directory))
@@ -125,18 +153,22 @@ def carry_out_search(directory: Path, plan: Plan, config: RunConfig) -> int:
 
 
 def note_players_without_seed(store: Store, plan: Plan, say: Callable[[str], None]) -> None:
-    """Show, and record once in the run, which players of a plan take no seed."""
+    """Show, and record once in the run, which of the user's agents and environments take no seed.
+
+    Raises:
+        ConfigError: a class does not exist, or cannot be imported.
+    """
     known = {event.text for event in store.events() if event.kind == UNSEEDED}
-    for line in without_seed(plan):
-        say(line)
-        if line not in known:
-            store.record_event(UNSEEDED, line)
+    for role, sweeps in ((Role.ENVIRONMENT, plan.environments), (Role.AGENT, plan.agents)):
+        for sweep in sweeps:
+            if (line := without_seed(role, sweep.label, find(role, sweep.name))) is not None:
+                say(line)
+                if line not in known:
+                    store.record_event(UNSEEDED, line)
 
 
 def _since(store: Store) -> str:
     """Return the date at which a run was finished, as in ` on 2026-11-22 10:30 UTC`, if it was recorded."""
-    from experiment_runner.report.overview import date
-
     time = finished_at(store)
     return "" if time is None else f" on {date(time)}"
 
@@ -207,3 +239,87 @@ def check_recording(config: RunConfig, plan: Plan) -> None:
         raise ConfigError("--record needs a trial in this process: leave out --workers and --engine")
     if (count := len(plan.expand())) > 1:
         raise ConfigError(f"--record needs a single trial, and the plan has {count}: make a plan of one")
+
+
+def carry_out_array(
+    directory: Path, plan: Plan, config: RunConfig, sbatch: Sequence[str], again: bool
+) -> int:
+    """Submit the unfinished trials of a plan as a job array, and a job that gathers their results.
+
+    Args:
+        directory: of the run, new or existing.
+        plan: of the run.
+        config: how to execute the plan, checked for it.
+        sbatch: options for sbatch, as NAME or NAME=VALUE.
+        again: replace a run in the directory.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        ConfigError: SLURM is not installed, or an option is malformed.
+        ExperimentError: the run has tasks in the queue, or SLURM refuses the job.
+    """
+    if not array.can_submit():
+        raise ConfigError("--engine slurm submits with sbatch, which is not here: use a login node of SLURM")
+    array.check_options(sbatch)
+    array.check_folder(directory.absolute())
+    if again:
+        with naming_out(""):
+            clear(directory)
+    elif holds_run(directory):
+        _gather(directory)
+    with naming_out(", or replace the results with --again"):
+        store = open_run(directory, plan, say=say)
+    parts = directory.absolute() / PARTS
+    with store:
+        if not (left := len(remaining(store))):
+            say(f"{directory} is already finished: nothing was submitted")
+            return 0
+        note_players_without_seed(store, plan, say)
+        tasks = divide(store, array.MAX_TASKS)
+        options = [*resume_options(store, config), f"--checkpoint-every={config.checkpoint_every}"]
+        if config.placement.in_process:
+            options.append("--in-process")
+        command = [*_PROGRAM, "experiment", *options, "--resume"]
+        replace_flushed(parts / _SCRIPT, array.array_script(parts, command, tasks, config.workers, sbatch))
+        job = array.submit([str(parts / _SCRIPT)])
+        replace_flushed(parts / _JOB, job)
+    what = f"{counted(left, 'trial')} in {counted(tasks, 'task')}"
+    say(f"submitted job {job}: {what}, with output in {parts}")
+    gathering = [*_PROGRAM, "results", "gather", str(directory.absolute())]
+    try:
+        array.submit(array.gathering_job(job, parts, gathering, sbatch))
+    except ExperimentError as error:
+        raise ExperimentError(f"{error}; when job {job} is over: glue-results gather {directory}") from error
+    say(f"when the last task is over, the results are in {directory}")
+    return 0
+
+
+def gather_run(directory: Path) -> None:
+    """Move the results of the tasks of a job array to their run, and show how much is finished.
+
+    Raises:
+        ExperimentError: there is no run, or it has tasks that wait or run.
+    """
+    unfinished, trials = _gather(directory)
+    say(f"{directory}: {trials - unfinished} of {trials} trials are finished")
+    if unfinished:
+        say(f"continue with: glue-experiment --resume {directory} --engine slurm")
+
+
+def _gather(directory: Path) -> tuple[int, int]:
+    """Gather the results; return the number of unfinished trials, and of all trials."""
+    job = directory / PARTS / _JOB
+    with reported(f"cannot read {job}"):
+        number = read_text(job).strip() if job.exists() else ""
+    if number and array.is_queued(number):
+        raise ExperimentError(
+            f"job {number} has tasks of {directory} that wait or run: see squeue --jobs={number}, "
+            f"and end it with scancel {number} if it is not wanted"
+        )
+    with Store.open(directory) as store:
+        gathered, left = gather(store), len(remaining(store))
+        if gathered and not left:
+            store.record_event(FINISH, "all trials are finished")
+        return left, len(store.trials())

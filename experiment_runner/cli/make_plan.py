@@ -1,4 +1,4 @@
-"""Turn the options of `glue-experiment` into a plan and a directory for its results."""
+"""Turn the options of `glue-experiment` into a plan, a hub, and a directory for the results."""
 
 from __future__ import annotations
 
@@ -9,21 +9,117 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
+from experiment_runner.executors.opening import recorded_plan
+from experiment_runner.executors.settings import HubOptions
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.ids import REMOTE
-from experiment_runner.plan.limits import BUDGETS
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PLAYERS, Backend
+from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, absolute, budget, check_options, class_files
 from experiment_runner.plan.toml import naming_lines, read
 from experiment_runner.plan.user_files import with_digests
+from experiment_runner.store.database import reported
 from glue.errors import ConfigError, ExperimentError
+from glue.hub.config import DEFAULT_SESSION, LegacyPort, check_session, check_url
 from glue.options import parameters, parse_assignments
-from glue.plugins import loading
 from glue.plugins.loading import find, names
 from glue.wire.messages import Role
+
+
+def planned(options: SimpleNamespace) -> tuple[Plan, Path | None]:
+    """Return the plan that the options describe, and the directory of its run; None for a new one.
+
+    Raises:
+        ConfigError: the options contradict each other, or the plan is wrong.
+        ExperimentError: there is no run to continue, or it cannot be read.
+    """
+    file, resume = options.plan_file, options.resume
+    if file is not None and (
+        options.agent or options.environment or options.agent_option or options.env_option
+    ):
+        raise ConfigError(
+            f"{file} names the agents and environments: leave out --agent and --env, and write "
+            "their options into the plan, below [agents.NAME] or [environments.NAME], instead of giving "
+            "--agent-option and --env-option"
+        )
+    counts = {name: value for name in COUNTS if (value := getattr(options, name)) is not None}
+    if options.metrics_every is not None:
+        counts["metrics"] = MetricsPlan(options.metrics_every)
+    roles = {
+        "environments": role_sweeps(Role.ENVIRONMENT, options.environment, options.env_option),
+        "agents": role_sweeps(Role.AGENT, options.agent, options.agent_option),
+    }
+    if resume is None:
+        if options.again and options.out is None:
+            raise ConfigError("--again replaces the run in a directory: name it with --out")
+        plan = make_plan(file, counts, roles)
+        return plan, options.out
+    others = any(roles.values()) or file or options.out or options.again
+    if others or counts.keys() - {*BUDGETS, "trials"}:
+        raise ConfigError(
+            f"--resume continues the run in {resume} with its own plan: "
+            "leave out --plan, --out, --again, and what changes a plan but more --episodes, --steps "
+            "or --trials"
+        )
+    plan = replace(recorded_plan(resume), **budget(counts))
+    if not options.dry_run:
+        if not options.trust:
+            ask_for_trust(resume, plan)
+        for role, sweeps in ((Role.ENVIRONMENT, plan.environments), (Role.AGENT, plan.agents)):
+            for sweep in sweeps:
+                find(role, sweep.name)  # imports the class, so that its files are known
+    return plan, resume
+
+
+def hub_options(options: SimpleNamespace) -> HubOptions:
+    """Return the hub that the options describe.
+
+    An environment variable is ignored, not refused, where no hub is used.
+
+    Raises:
+        ConfigError: options contradict each other, or an address is malformed.
+    """
+    in_process = options.in_process or PLAYERS.keys() <= {*options.inside}
+    isolated = in_process or options.workers or options.engine != Backend.LOCAL
+    ours = {"--bind": options.bind, "--legacy-port": options.legacy_port, "--keys": options.keys}
+    hub = None if _from_variable("hub") and (isolated or any(ours.values())) else options.hub
+    session = DEFAULT_SESSION if _from_variable("session") and isolated else options.session
+    found = HubOptions(
+        hub,
+        tuple(dict.fromkeys(options.bind)),
+        check_session(session),
+        options.wait if hub else None,
+        options.insecure,
+        # Each port is opened once, even if it is given twice.
+        tuple(
+            dict.fromkeys(LegacyPort.parse(port, session, options.insecure) for port in options.legacy_port)
+        ),
+        options.key if hub or not _from_variable("key") else None,
+        options.hub_key if hub or not _from_variable("hub_key") else None,
+        options.keys,
+    )
+    theirs = {"--key": found.key, "--hub-key": found.hub_key}
+    flag = next((flag for flag, value in (theirs if hub is None else ours).items() if value), None)
+    if flag is not None and hub is None:
+        raise ConfigError(f"{flag} is for a running hub: name it with --hub")
+    if flag is not None:
+        raise ConfigError(
+            f"{flag} is for a hub that the experiment starts, and --hub names a running one: leave one out"
+        )
+    for url in (*found.bind, *([hub] if hub else [])):
+        check_url(url)
+    return found
+
+
+def _from_variable(option: str) -> bool:
+    """Return whether an option was set by an environment variable."""
+    return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
 
 
 def role_sweeps(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:
@@ -66,7 +162,7 @@ def make_plan(plan_file: Path | None, counts: Mapping[str, Any], roles: Mapping[
 
 def _checked(plan: Plan) -> Plan:
     """Return a plan with its options checked; an error is raised before anything is created."""
-    plan = check_options(plan, _find)
+    plan = check_options(plan, lambda role, name: find(Role(role), name))
     plan.expand()  # raises an error if a trial occurs twice
     agents, environments = _pinned(Role.AGENT, plan.agents), _pinned(Role.ENVIRONMENT, plan.environments)
     return replace(plan, agents=agents, environments=environments)
@@ -74,43 +170,11 @@ def _checked(plan: Plan) -> Plan:
 
 def _pinned(role: Role, sweeps: Iterable[RoleSweep]) -> tuple[RoleSweep, ...]:
     """Return agents or environments with the digests of the files that their options name."""
-    from experiment_runner.store.database import reported
-
     with reported("cannot read a file of the user"):
         return tuple(
             replace(sweep, options=with_digests(sweep.options, parameters(find(role, sweep.name))))
             for sweep in sweeps
         )
-
-
-def _find(role: str, name: str) -> type:
-    return find(Role(role), name)
-
-
-def find_players(plan: Plan) -> None:
-    """Import the classes of a plan, so that their files are known.
-
-    Raises:
-        ConfigError: a class does not exist, or cannot be imported.
-    """
-    for role, sweeps in ((Role.ENVIRONMENT, plan.environments), (Role.AGENT, plan.agents)):
-        for sweep in sweeps:
-            find(role, sweep.name)
-
-
-def without_seed(plan: Plan) -> list[str]:
-    """Return a line for each of the user's agents and environments that takes no seed.
-
-    Raises:
-        ConfigError: a class does not exist, or cannot be imported.
-    """
-    roles = ((Role.ENVIRONMENT, plan.environments), (Role.AGENT, plan.agents))
-    lines = [
-        loading.without_seed(role, sweep.label, find(role, sweep.name))
-        for role, sweeps in roles
-        for sweep in sweeps
-    ]
-    return [line for line in lines if line is not None]
 
 
 def ask_for_trust(directory: Path, plan: Plan) -> None:
@@ -142,8 +206,6 @@ def own_directory(given: Path | None, name: str) -> Iterator[Path]:
     Raises:
         ExperimentError: it cannot be made.
     """
-    from experiment_runner.store.database import reported
-
     if given is not None:
         yield given
         return

@@ -1,4 +1,7 @@
-"""Job arrays of SLURM: their script, their submission, and whether they are over.
+"""Job arrays of SLURM: the parts of a run that their tasks continue, their script, and their submission.
+
+A part is a run directory in the folder `parts` of its run, with the same plan and some of the trials. One
+task continues it like any other run, so that no two processes write to the same database.
 
 Options and variables are those of https://slurm.schedmd.com/sbatch.html.
 """
@@ -10,10 +13,15 @@ import shlex
 import shutil
 import subprocess
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
+from experiment_runner.store.database import reported
+from experiment_runner.store.layout import ABOUT_FILE, PARTS, PLAN_FILE, parts_of, remove_run
+from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError
+from glue.files import read_text
 
 MAX_TASKS: Final = 1000
 """Maximum number of tasks of an array: SLURM's default MaxArraySize is 1001."""
@@ -139,3 +147,53 @@ def _run(*command: str) -> str:
         why = done.stderr.strip().removeprefix(f"{command[0]}: error: ")
         raise ExperimentError(f"{command[0]} has failed: {why}")
     return done.stdout.strip()
+
+
+def divide(store: Store, tasks: int) -> int:
+    """Make a part for each task, named by its number from 0; return the number of parts.
+
+    Args:
+        store: of the run, which has no parts.
+        tasks: maximum number of parts. Their numbers of trials differ by at most one.
+
+    Raises:
+        ExperimentError: a part cannot be written.
+    """
+    left = [trial for trial in store.trials() if not trial.finished]
+    with reported(f"cannot read {store.directory}"):
+        files = {name: read_text(store.directory / name) for name in (PLAN_FILE, ABOUT_FILE)}
+    count = min(tasks, len(left))
+    for number in range(count):
+        share = left[number::count]
+        Store.create(
+            store.directory / PARTS / str(number),
+            [trial.spec for trial in share],
+            files,
+            fill=partial(_copy, store, [trial.spec.id for trial in share if trial.done]),
+        ).close()
+    return count
+
+
+def _copy(source: Store, trial_ids: list[str], part: Store) -> None:
+    for trial_id in trial_ids:
+        part.adopt(source, trial_id, trial_id)
+
+
+def gather(store: Store) -> int:
+    """Move the results of all parts to their run; return the number of parts.
+
+    A kill in between loses nothing: a part is removed after its results are stored.
+
+    Raises:
+        DirectoryTaken: a task is running.
+        ExperimentError: a part cannot be read, or the results cannot be written.
+    """
+    parts = parts_of(store.directory)
+    for path in parts:
+        with Store.open(path) as part:
+            for trial in part.trials():
+                if trial.done >= store.done(trial.spec.id):
+                    store.adopt(part, trial.spec.id, trial.spec.id)
+        with reported(f"cannot remove {path}"):
+            remove_run(path)
+    return len(parts)

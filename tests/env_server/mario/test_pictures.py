@@ -1,0 +1,284 @@
+"""Levels in files: pictures in two notations, what is refused and where, and that they play as others do."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from env_server.cli.environment import environment as glue_env
+from env_server.mario.environment import InfiniteMario
+from env_server.mario.game import Game
+from env_server.mario.many.games import DISABLED, Games
+from env_server.mario.many.views import BODY, View
+from env_server.mario.observation import BODY_SIZE
+from env_server.mario.pictures import MOST_BYTES, digest_of, read_picture, write_picture
+from env_server.mario.sim import tiles as tile
+from env_server.mario.sim.state import GOOMBA, PLANT, ROWS, SPAWN_WINGED, LevelMap
+from glue import local, make_agent
+from glue.errors import ConfigError, SaveError, SimulatorError
+from glue.types import Action, Observation
+from tests.env_server.mario.drawing import draw_picture
+from tests.env_server.mario.golden_check import DIGESTS
+from tests.proof import size
+
+GROUND = "X" * 20
+PLAIN = f"{'-' * 20}\n{GROUND}\n"
+JUMP, RUN = Action(ints=[1, 1, 1]), Action(ints=[1, 0, 1])
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "level.txt"
+
+
+def level_of(file: Path, text: str) -> LevelMap:
+    file.write_text(text)
+    level: LevelMap = read_picture(file).levels()[0]
+    return level
+
+
+def restarted(game: Game) -> Observation:
+    """Return the first observation of an episode in which no button is held any more."""
+    for button in ("left", "right", "jump", "run"):
+        setattr(game.world, f"button_{button}", False)
+    return game.start()
+
+
+def cells(level: LevelMap) -> dict[str, bytes]:
+    return {
+        name: getattr(level, name)[: level.columns].tobytes()
+        for name in ("tiles", "spawns", "cells", "bumpable", "spawning")
+    } | {name: bytes([getattr(level, name) % 256]) for name in ("columns", "type", "exit_x", "exit_y")}
+
+
+def played(options: dict[str, Any], steps: int = 60) -> list[tuple[bytes, float, bool]]:
+    """Return what two episodes of fixed actions show."""
+    mario = InfiniteMario(**options)
+    mario.env_init()
+    seen = []
+    for _ in range(2):
+        seen.append((mario.env_start().body, 0.0, False))
+        for i in range(steps):
+            step = mario.env_step(JUMP if i % 7 < 4 else RUN)
+            seen.append((step.observation.body, step.reward, step.terminal))
+            if step.terminal:
+                break
+    return seen
+
+
+@pytest.mark.parametrize("known", DIGESTS["levels"][:: size(4, 1)], ids=lambda known: str(known["options"]))
+def test_the_level_of_a_seed_written_and_read_back_is_that_level(known: dict[str, Any], file: Path) -> None:
+    game = Game(InfiniteMario(**known["options"]).parameters)
+    game.start()
+    read = level_of(file, write_picture(game.level_map))
+    assert cells(read) == cells(game.level_map)
+    whole = hashlib.sha256(read.tiles[: read.columns].tobytes()).hexdigest()
+    assert whole.startswith(known["tiles"]), "the original's"
+
+
+def test_a_level_that_was_read_back_plays_the_same_episodes(file: Path) -> None:
+    options = {"level_seed": 11, "level_difficulty": 10, "level_width": 100, "instance": 9}
+    file.write_text(InfiniteMario(**options).level_template(11))
+    again = played({"level": str(file), "instance": 9})
+    assert again == played(options)
+    assert len(again) > 20
+
+
+def test_the_command_prints_a_level(file: Path) -> None:
+    arguments = ["mario", "--level-width", "0", "--level-template", "0"]
+    done = CliRunner().invoke(glue_env, arguments, catch_exceptions=False)
+    assert (done.exit_code, done.stdout) == (0, InfiniteMario(level_width=0).level_template(0))
+    assert "--level-template" not in CliRunner().invoke(glue_env, ["mines", "--help"]).stdout
+
+
+FRAMEWORK = """
+--------------------
+-M------g-------K---
+------------P-------
+--SCU?Q!@2Do-----F--
+--{%}-------TT--tt<>
+--(|)-------TT--tt[]
+XXXXX#/\\XXXXXXXXXXXX
+
+type 2
+7 5 G
+"""
+CORPUS = """
+--------------------
+---E-----?QSo---<>--
+----------------[]--
+XXXXXXXXXXXXXXXXXXXX
+"""
+
+
+def test_what_the_characters_stand_for(file: Path) -> None:
+    """Golden codes: of the framework's notation, then of the corpus's."""
+    level = level_of(file, FRAMEWORK[1:])
+    rows = [level.tiles[:20, row].tolist() for row in range(ROWS)]
+    blocks = [16, 17, 18, tile.QUESTION_WITH_POWER_UP, 21, 21, 22, tile.HIDDEN_BLOCK, tile.USED_BLOCK, 34]
+    assert rows[11][2:12] == blocks
+    assert rows[12] == [0, 0, 132, 133, 134, *[0] * 7, 10, 11, 0, 0, 10, 11, 10, 11]
+    assert rows[13] == [0, 0, 148, 149, 150, *[0] * 7, 26, 27, 0, 0, 26, 27, 26, 27]
+    assert rows[14][5:8] == [tile.STAIR, tile.OVERLAPPED_LEFT, tile.OVERLAPPED_RIGHT]
+    assert (rows[14][10], level.type) == (137, 2), "a castle's"
+    found = {(x, y): int(level.spawns[x, y]) for x, y in np.argwhere(level.spawns).tolist()}
+    winged = GOOMBA | SPAWN_WINGED
+    assert found == {
+        (8, 9): GOOMBA,
+        (16, 9): 2 | SPAWN_WINGED,
+        (12, 10): PLANT,
+        (12, 12): PLANT,
+        (7, 5): winged,
+    }
+    assert (level.exit_x, level.exit_y) == (17, 12)
+
+    level = level_of(file, CORPUS[1:])
+    assert level.tiles[9:13, 12].tolist() == [tile.QUESTION_WITH_COIN, tile.USED_BLOCK, 16, 34]
+    assert level.tiles[16:18, 12:14].T.tolist() == [[10, 11], [26, 27]]
+    assert (level.spawns[3, 12], level.exit_x) == (GOOMBA, 19)
+    tall = level_of(file, "-" * 20 + "\n" + CORPUS[1:] + 11 * (GROUND + "\n"))
+    assert tall.tiles[9:11, 1].tolist() == [22, 21], "of 16 rows: the framework's; the top one is dropped"
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "expected"),
+    [
+        ("", 1, 1, "expected a picture of 20 to 2050 columns, not 0"),
+        ("-" * 19, 1, 20, "expected a picture of 20 to 2050 columns, not 19"),
+        ("-" * 2051, 1, 2052, "expected a picture of 20 to 2050 columns, not 2051"),
+        (f"{PLAIN}XX", 3, 3, "expected 20 columns, not 2"),
+        (f"{PLAIN}{'-' * 21}", 3, 21, "expected 20 columns, not 21"),
+        (f"{GROUND}\n" * 16, 1, 1, "expected - in a row above the lowest 15"),
+        (PLAIN + "XXé" + "X" * 16, 3, 3, "expected one of"),
+        (PLAIN + "F" + "-z" + "X" * 17, 3, 3, "not 'z'"),
+        (PLAIN + "XB" + "X" * 18, 3, 2, "B is a cannon, and the competition of 2009 had none"),
+        (PLAIN + "L" + "X" * 19, 3, 1, "which the engine of 2009 does not have"),
+        (PLAIN + "1" + "X" * 19, 3, 1, "a hidden mushroom that gives a life"),
+        (PLAIN + "ttt" + "X" * 17, 3, 3, "expected pipes of two columns, and this is half of one"),
+        (PLAIN + "-" * 10 + "M" + "-" * 9, 3, 11, "expected M in the first 8 columns"),
+        (PLAIN + "FF" + "-" * 18, 3, 2, "expected one F"),
+        (f"{PLAIN}\ntype 3", 4, 1, "expected type 0, 1 or 2, or COLUMN ROW CHARACTER, not 'type 3'"),
+        (f"{PLAIN}F{GROUND[1:]}\n\n20 3 g", 5, 1, "expected column 0 to 19 and row 0 to 14, not 20 and 3"),
+        (f"{PLAIN}F{GROUND[1:]}\n\n9 3 t", 5, 5, "expected a part of a pipe as one of <>[]"),
+        (f"{PLAIN}\n9 3 b", 4, 5, "b is a cannon"),
+        (f"{'g' * 20}\n" * 15, 15, 20, "expected at most 200 monsters in 40 columns, not 300"),
+    ],
+)
+def test_what_is_refused_and_where(text: str, line: int, column: int, expected: str, file: Path) -> None:
+    file.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        InfiniteMario(level=str(file))
+    message = str(caught.value)
+    assert message.startswith(f"{file}, line {line}, column {column}: ")
+    assert expected in message
+
+
+def test_files_that_are_not_read(file: Path) -> None:
+    for path, why in ((file, "No such file"), (file.parent, "Is a directory")):
+        with pytest.raises(ConfigError, match=why):
+            read_picture(path)
+    file.write_bytes(b"-" * (MOST_BYTES + 1))
+    with pytest.raises(ConfigError, match="more than 262,144 bytes"):
+        read_picture(file)
+    file.write_text(PLAIN)
+    sha256 = digest_of(file)
+    assert read_picture(file, sha256).sha256 == sha256
+    file.write_text(f"{PLAIN}{GROUND}\n")
+    with pytest.raises(
+        ConfigError, match=f"{file} has changed: its SHA-256 is {digest_of(file)}, not {sha256}"
+    ):
+        InfiniteMario(level=str(file), level_digest=sha256)
+
+
+def test_a_level_of_a_file_is_whole_and_fixed(file: Path) -> None:
+    file.write_text(PLAIN)
+    wrong: list[tuple[dict[str, Any], str]] = [
+        ({"level": str(file), "level_seed": 1}, "leave out level_seed"),
+        ({"level": str(file), "level_width": 1}, "leave out level_width"),
+        ({"level_digest": "00"}, "give level, too"),
+    ]
+    for options, why in wrong:
+        with pytest.raises(SimulatorError, match=why):
+            InfiniteMario(**options)
+    mario = InfiniteMario(level=str(file), mdp="proving-6")
+    assert json.loads(mario.env_message("parameters"))["level"] == digest_of(file)
+    assert json.loads(mario.env_message("parameters"))["jump_time"] == 10, "the MDP's, but for its level"
+    assert mario.env_message("level") == f"level_digest={digest_of(file)}"
+    assert mario.env_message("level level_seed=1").startswith("refused: the level is that of a file")
+    mario.env_init()
+    mario.env_start()
+    saved = mario.env_save()
+    mario.env_load(saved)
+    others = InfiniteMario()
+    others.env_init()
+    with pytest.raises(SaveError):
+        others.env_load(saved)
+    with pytest.raises(SaveError, match="that of a file"):
+        mario.env_load(others.env_save())
+    with pytest.raises(SimulatorError, match="leave out the file"):
+        mario.level_template(1)
+
+
+def test_games_on_the_level_of_a_file_are_equal(file: Path) -> None:
+    """Alone, as a clone, again, after another task, and among many games."""
+    file.write_text(draw_picture(np.random.default_rng(5), 50))
+    task, other = InfiniteMario(level=str(file)).parameters, InfiniteMario(level_width=0).parameters
+    game = Game(task)
+    first = game.start()
+    clone = game.clone()
+    steps = [game.step(1, 1, 0) for _ in range(5)]
+    assert [clone.step(1, 1, 0) for _ in range(5)] == steps
+    with Games([other, task, task], View(BODY, BODY_SIZE, 0), DISABLED) as games:
+        games.reset()
+        assert games.observation(2) == first != games.observation(0)
+        for _ in steps:
+            games.step(np.tile(np.array([2, 1, 0]), (3, 1)), np.array([3, 2, 2]))
+        assert games.observation(1) == steps[-1][1]
+        with pytest.raises(SimulatorError, match="fixed when games are made"):
+            games.set_tasks([task, task, other])
+        games.set_tasks([other, task, other])
+        games.reset()
+        assert games.observation(2) == games.observation(0)
+    clone.set_task(other)
+    assert restarted(clone) == Game(other).start()
+    clone.set_task(task)
+    assert restarted(clone) == restarted(game) == first
+
+
+def test_drawn_levels_are_read_whatever_is_drawn() -> None:
+    """The generator is handed over, so that others can draw the same levels."""
+    rng = np.random.default_rng(2)
+    drawn = [draw_picture(rng, int(rng.integers(20, 200))) for _ in range(size(20, 2000))]
+    assert len({*drawn}) == len(drawn)
+
+
+def test_the_planner_reaches_the_goals_of_drawn_levels(tmp_path: Path) -> None:
+    solved = []
+    rng = np.random.default_rng(1)
+    for number, text in islice(enumerate(iter(lambda: draw_picture(rng, 50), "")), 4):
+        path = tmp_path / f"{number}.txt"
+        path.write_text(text)
+        with local(make_agent("planner"), InfiniteMario(level=str(path), max_trial_steps=120)) as glue:
+            glue.rl_init(seed=1)
+            glue.rl_episode()
+            solved.append(glue.rl_return() > 50)
+    assert solved.count(True) >= 2
+
+
+def test_whatever_a_file_holds_it_is_a_level_or_refused(file: Path) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(size(50, 5000)):
+        data = bytearray(draw_picture(rng, 24).encode())
+        for place in rng.integers(0, len(data), 3).tolist():
+            data[place] = int(rng.integers(256))
+        file.write_bytes(data)
+        with suppress(ConfigError):
+            read_picture(file).levels()

@@ -1,0 +1,83 @@
+"""The levels of a competition's task in files beside the competition's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from env_server.mario.pictures import digest_of
+from experiment_runner.competition.organiser import open_competition
+from experiment_runner.competition.records.replay import made_for
+from experiment_runner.competition.settings import parse_competition
+from experiment_runner.competition.trials import public_trial, trials
+from experiment_runner.plan.plan import TrialSpec
+from glue.errors import ConfigError, ExperimentError
+
+SECRET = b"hush"
+FILE = """\
+trials = 3
+seed_env = "SECRET"
+[tasks.own]
+env = "mario"
+options = { instance = 9 }
+levels = ["one.txt", "two.txt"]
+episodes = 1
+[entrants.alice]
+command = ["true"]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "one.txt").write_text("X" * 20)
+    (tmp_path / "two.txt").write_text("X" * 21)
+    return tmp_path
+
+
+def trials_of(folder: Path, text: str = FILE) -> list[TrialSpec]:
+    return trials(parse_competition(text, folder / "spring.toml"), SECRET)
+
+
+def test_the_trials_of_a_task_play_its_levels_in_turn(folder: Path) -> None:
+    specs = trials_of(folder)
+    files = [folder / "one.txt", folder / "two.txt", folder / "one.txt"]
+    expected = [{"instance": 9, "level": str(file), "level_digest": digest_of(file)} for file in files]
+    assert [spec.environment.options for spec in specs if spec.environment] == expected
+    task = parse_competition(FILE, folder / "spring.toml").tasks[0]
+    tried = public_trial(task, "alice", 1, 10).environment
+    assert tried is not None
+    assert tried.options == {"instance": 9}, "an entrant is tried on the default level"
+
+
+def test_a_level_that_was_changed_is_not_played(folder: Path) -> None:
+    held = parse_competition(FILE, folder / "spring.toml")
+    open_competition(folder / "run", FILE, held, SECRET).close()
+    open_competition(folder / "run", FILE, held, SECRET).close()
+    specs = trials(held, SECRET)
+    (folder / "two.txt").write_text("X" * 22)
+    with pytest.raises(
+        ExperimentError, match=r"level_digest of alice/own/1 was \w{64}, not \w{64}: put that back"
+    ):
+        open_competition(folder / "run", FILE, held, SECRET)
+    with pytest.raises(ConfigError, match=r"two\.txt has changed"):
+        made_for(specs[1])  # as verification does
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        (
+            'env = "mario"\noptions = { instance = 9 }',
+            'env = "mines"',
+            "task own: mines reads no levels from files",
+        ),
+        ("instance = 9", 'level = "one.txt"', r"task own: levels from files are not an option: levels = \["),
+        ("instance = 9", "level_seed = 3", "leave out level_seed"),
+        ("two.txt", "three.txt", r"three\.txt: No such file"),
+        ('["one.txt", "two.txt"]', '"one.txt"', "levels must be a list"),
+    ],
+)
+def test_what_is_refused(old: str, new: str, why: str, folder: Path) -> None:
+    with pytest.raises(Exception, match=why):
+        trials_of(folder, FILE.replace(old, new))
