@@ -89,8 +89,7 @@ def test_over_http_but_not_through_a_page_of_another_site(
     mode: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     agent = MCPAgent(port=0)
-    url = caplog.messages[-1].rpartition(" ")[2]
-    assert url.startswith("http://127.0.0.1:")
+    (url,) = (line.rpartition(" ")[2] for line in caplog.messages if "http://127.0.0.1:" in line)
     with session(agent, MinesEnvironment()):
         talk(url, mode, first_part, second_part)
     port = int(url.split(":")[2].partition("/")[0])
