@@ -94,7 +94,6 @@ def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
         ("I am stuck.\nGive up.", ([], "end")),
         ("act:", ([""], "end")),
         ("I act: right", (None, "end")),
-        ("", (None, "end")),
     ],
 )
 def test_a_choice_is_the_last_line_that_states_one(text: str, choice: tuple[object, str]) -> None:
