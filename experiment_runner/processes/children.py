@@ -47,14 +47,14 @@ class Child(Protocol):
     def kill(self) -> None: ...
 
 
-def start(command: str, arguments: Sequence[str]) -> subprocess.Popen[bytes]:
-    """Start one of our commands, as in `view`, as a child that ends when this process does.
+def start(command: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+    """Start one of our commands, as in `view`, or modules as a child that ends when this process does.
 
     Raises:
         ExperimentError: it cannot be started.
     """
     try:
-        return spawn("experiment_runner.processes.children", [command, *arguments])
+        return spawn("experiment_runner.processes.children", [command, *arguments], pass_fds=pass_fds)
     except OSError as error:
         raise ExperimentError(f"cannot start {' '.join([command, *arguments])}: {error}") from error
 
