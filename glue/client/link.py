@@ -169,7 +169,6 @@ class Link:
         if kind is Kind.REFUSE:
             raise Refused(f"the hub at {self._hub} refused this {self._role}: {one_line(str(scalars[1]))}")
         if kind is Kind.ERROR and scalars[0] == ErrorCode.UNKNOWN_PEER:
-            self._transport.notice_connections()
             # A HELLO under way will be answered; this error is about a message sent before it.
             if self._transport.connections != self._greeted or session in self._welcomed:
                 self._greet()

@@ -77,9 +77,6 @@ class SocketTransport:
         self._retry_at = 0.0
         self._spin: Spin | None = None
 
-    def notice_connections(self) -> None:
-        """Do nothing: `connected` and `connections` are up to date at any time."""
-
     def wait_at_most(self, seconds: float) -> None:
         """Set how long `receive_message` waits, in seconds."""
         self._wait = seconds
