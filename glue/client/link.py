@@ -17,8 +17,8 @@ from glue.console import LOG, one_line
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.hub.config import check_session
 from glue.hub.sessions import INSTANCE_SIZE
-from glue.sockets.spinning import LONG_SPIN_SECONDS, SEVERAL_CORES
 from glue.system import chance, clock
+from glue.system.spinning import LONG_SPIN_SECONDS, SEVERAL_CORES
 from glue.wire.codec import UnknownKind, clip
 from glue.wire.messages import CALLS, MAX_BODY, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final
 
 from glue.client.target import OwnKey, needs_key, needs_no_key, unknown_key, wrong_hub_key
 from glue.errors import Refused, RemoteProtocolError
-from glue.sockets.options import limit_silence, probe_when_silent, unix_address
-from glue.sockets.spinning import Spin
 from glue.system import clock, network
+from glue.system.sockets import limit_silence, probe_when_silent, unix_address
+from glue.system.spinning import Spin
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
 from glue.wire.messages import Message

@@ -22,8 +22,8 @@ from glue.hub.io.listener import Listener, OpenAddress
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
 from glue.hub.sessions import Sessions
-from glue.sockets.options import limit_silence
 from glue.system import clock, network
+from glue.system.sockets import limit_silence
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
 from glue.wire.messages import MAX_HEADER, OBSERVING, Kind, Message, Role

@@ -6,9 +6,8 @@ import time
 
 import pytest
 
-from glue.sockets import spinning
-from glue.sockets.spinning import Spin
-from glue.system import clock
+from glue.system import clock, spinning
+from glue.system.spinning import Spin
 
 ENDLESS = 60.0
 
