@@ -5,9 +5,9 @@ games would wait for that four times: on its way to the hub, to the agent, and b
 
 Each part that adapts was left out in turn, with two cores busy, with one core, and beside two busy loops.
 Without rests after a lost core, 0.02 to 0.44 of the steps a second were left; with rests that do not double,
-0.8 where two programs share a core; if nothing is polled during a rest, 0.4 to 0.7 through the gateway, as
-programs in C answer at once; if no wait is skipped after a spin without success, 0.35 to 1.0, and beside a
-player that takes a millisecond the hub took 3.6 times the CPU.
+0.8 where two programs share a core; if nothing is polled during a rest, 0.4 to 0.7 in four runs through the
+gateway; if no wait is skipped after a spin without success, 0.35 to 1.0, and beside a player that takes a
+millisecond the hub took 3.6 times the CPU.
 """
 
 from __future__ import annotations

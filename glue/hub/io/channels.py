@@ -137,7 +137,7 @@ class _SocketChannel:
 
     def _account_for_data(self) -> None:
         """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
-        held = (self._stream.buffered + self.connection.unsent) * 9 // 8  # buffers grow by an eighth
+        held = (self._stream.kept + self.connection.unsent) * 9 // 8  # buffers grow by an eighth
         if held != self._held:
             self._held = held
             self.account()
