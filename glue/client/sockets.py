@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Final
 
 from glue.client.target import OwnKey, needs_key, needs_no_key, unknown_key, wrong_hub_key
 from glue.errors import Refused, RemoteProtocolError
-from glue.sockets.options import limit_silence, probe_when_silent, unix_address
-from glue.sockets.spinning import Spin
 from glue.system import clock, network
+from glue.system.sockets import limit_silence, probe_when_silent, unix_address
+from glue.system.spinning import Spin
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
 from glue.wire.messages import Message
@@ -76,9 +76,6 @@ class SocketTransport:
         self._retry = _RETRY_SECONDS[0]
         self._retry_at = 0.0
         self._spin: Spin | None = None
-
-    def notice_connections(self) -> None:
-        """Do nothing: `connected` and `connections` are up to date at any time."""
 
     def wait_at_most(self, seconds: float) -> None:
         """Set how long `receive_message` waits, in seconds."""

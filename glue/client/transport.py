@@ -38,10 +38,6 @@ class Transport(Protocol):
         """Number of connections so far, including this one; the hub has to be greeted over each."""
         ...
 
-    def notice_connections(self) -> None:
-        """Bring `connected` and `connections` up to date."""
-        ...
-
     def wait_at_most(self, seconds: float) -> None:
         """Set how long `receive_message` waits."""
         ...
