@@ -38,7 +38,7 @@ _TASK: Final = InfiniteMario().parameters
 _DIGITS: Final = "".join(ACTIONS)
 
 
-@click.command("certificates")
+@click.command("python -m studies.certificates")
 @click.argument("levels", metavar="SET")
 @click.option(
     "--out",
@@ -128,7 +128,7 @@ def _find_way(world: Any, level: Any, sims: int) -> tuple[list[int], int, bool]:
     """Search for actions that reach the goal, regardless of their cost.
 
     In the first of two searches, a state is not visited again at another time. If that search ends early, it
-    has tried all twelve actions in every state that it tells apart (`agents.planner.tree.describe`): in the
+    has tried all twelve actions in every state that it tells apart (`agents.planner.search.describe`): in the
     first one met of each combination of Mario's position in 4 by 4 pixels, his speed, jump and size, whether
     he carries a shell, and the numbers of coins and kills. Another state of a combination, with other last
     digits or other places of the enemies, may lead on: this is evidence that there is no way, and no proof.

@@ -33,6 +33,9 @@ def test_a_level_without_a_way_is_told_apart_from_one_that_was_searched_too_litt
     monkeypatch.setattr(search, "_SIMS", 1_000)
     [line] = lines()
     assert line.startswith("wall.txt: no way was found in 2,")
+    (tmp_path / "flat.txt").unlink()
+    monkeypatch.setattr(search, "_SIMS", 2_000)
+    assert len(lines()) == 1, "of a table without a goal and a step"
 
 
 @pytest.mark.parametrize("name", ["certificates.json", "certificates.json.gz"])

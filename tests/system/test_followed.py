@@ -52,11 +52,19 @@ def test_experiments(tmp_path: Path) -> None:
         ("first-experiment", "compare.png"),
         ("first-competition", "board.html"),
         ("notebooks", "."),
+        ("mario", "runs/levels/results.sqlite"),
     ],
 )
 def test_tutorial(page: str, made: str, tmp_path: Path) -> None:
     follow(text_of(page).replace("episodes = 5\n", "episodes = 1\n"), tmp_path)  # of the competition's Mario
     assert (tmp_path / made).stat().st_size > 0
+
+
+def test_a_stand_in_for_a_language_model_reaches_the_goal(tmp_path: Path) -> None:
+    board = follow(text_of("language-models"), tmp_path)
+    assert re.search(r"^\s*1\s+model\b", board, re.MULTILINE), board
+    with Results.open(tmp_path / "runs/model") as results:
+        assert [episode.episode_return for episode in results.episodes("chat/mines/0")] == [-11.0] * 2
 
 
 def test_recordings_become_datasets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -109,7 +109,7 @@ def _by_difficulty(document: Document, messages: Sequence[str], solvable: Set[in
                     estimated(goals, mean, 3),
                     estimated(returns, interquartile_mean, 1),
                     f"{steps / len(scores):.1f}",
-                    f"{1000 * sum(score['seconds'] for score in scores) / steps:.3f}",
+                    f"{1000 * sum(score['seconds'] for score in scores) / max(steps, 1):.3f}",
                     *(_mean_answer(scores, message) for message in messages),
                     *([_share_of(scores, solvable)] if solvable else []),
                 ]

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
+
+import pytest
 
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.parameters import MDPS
+from env_server.mario.pictures import read_picture
 from env_server.render.scene import KINDS
+from glue.errors import ConfigError
 from glue.options import parameters, parse_assignments
 from tests.pages import DOCS, rows
 
@@ -45,6 +50,16 @@ def test_kinds_are_as_listed() -> None:
 def test_every_char_is_listed() -> None:
     listed = {char.strip("`") for char, _ in rows(TEXT, "| char | tile |")}
     assert listed == {"space", "&#124;", *"M!$b?1237"}
+
+
+def test_every_character_of_a_picture_is_listed(tmp_path: Path) -> None:
+    listed = "".join(cell for cell, _ in rows(TEXT, "| character |")).replace("&#124;", "`|`")
+    characters = re.findall(r"`(.)`", listed)
+    file = tmp_path / "level.txt"
+    file.write_text("F" + "?" * 19 + "\n\n9 0 z")
+    with pytest.raises(ConfigError) as error:
+        read_picture(file)
+    assert f"expected one of {''.join(sorted(characters))} " in str(error.value)
 
 
 def test_messages_are_answered() -> None:

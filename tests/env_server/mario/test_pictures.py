@@ -253,13 +253,6 @@ def test_games_on_the_level_of_a_file_are_equal(file: Path) -> None:
     assert restarted(clone) == restarted(game) == first
 
 
-def test_drawn_levels_are_read_whatever_is_drawn() -> None:
-    """The generator is handed over, so that others can draw the same levels."""
-    rng = np.random.default_rng(2)
-    drawn = [draw_picture(rng, int(rng.integers(20, 200))) for _ in range(size(20, 2000))]
-    assert len({*drawn}) == len(drawn)
-
-
 def test_the_planner_reaches_the_goals_of_drawn_levels(tmp_path: Path) -> None:
     solved = []
     rng = np.random.default_rng(1)
