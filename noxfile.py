@@ -39,6 +39,7 @@ LOWEST_TESTING = ["hypothesis>=6.100", "pytest>=8.2", "pytest-timeout>=2.3"]
 
 LIBRARIES = {
     "coming_from": "tests/package/test_coming_from.py",
+    "language": "tests/agents/language/test_mcp.py",
     "loggers": "tests/experiment_runner/loggers",
     "notebooks": "tests/package/test_notebooks.py",
 }
@@ -74,8 +75,8 @@ def site(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def libraries(session: nox.Session) -> None:
-    """Run the named stages that need optional libraries, or all: coming_from, loggers, notebooks."""
-    extras = "gym,notebooks,pandas,polars,tensorboard,trackio,wandb"
+    """Run the named stages that need optional libraries, or all: see `LIBRARIES`."""
+    extras = "gym,mcp,notebooks,pandas,polars,render,tensorboard,trackio,wandb"
     others = ["dm-env", "mlflow", "PyExpUtils-andnp", "rlglue-andnp"]
     session.install("--editable", f".[{extras}]", *others, *TESTING)
     for stage in session.posargs or LIBRARIES:

@@ -15,9 +15,8 @@ import numpy.typing as npt
 
 from glue.errors import LocalProtocolError, SaveError
 from glue.options import Option
-from glue.random_state import GENERATOR_SIZE, load_generator
 from glue.roles import Agent
-from glue.saves import Arrays, Saved, generator_array, is_packed, pack, unpack
+from glue.saves import GENERATOR_SIZE, Arrays, Saved, generator_array, is_packed, load_generator, pack, unpack
 from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import PREFIX_SIZE, Action, Observation
 

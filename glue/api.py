@@ -21,7 +21,7 @@ from glue.errors import SaveError as SaveError
 from glue.errors import SimulatorError as SimulatorError
 from glue.errors import TaskSpecError as TaskSpecError
 from glue.errors import Unsupported as Unsupported
-from glue.hub.io.hosting import host as host
+from glue.hub.io.inside import host as host
 from glue.options import Option as Option
 from glue.plugins.loading import make as make
 from glue.plugins.loading import make_agent as make_agent

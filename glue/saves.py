@@ -24,7 +24,6 @@ import numpy as np
 import numpy.typing as npt
 
 from glue.errors import SaveError
-from glue.random_state import load_generator, save_generator
 
 _MAGIC: Final = b"GLUEAGNT"
 _VERSION: Final = 1
@@ -34,6 +33,11 @@ _MAX_HEADER: Final = 1 << 16
 _MAX_SIZE: Final = 1 << 30
 _MAX_NUMBER: Final = 2**64 - 1
 _DTYPES: Final = frozenset({"<u8", "<i8", "<f8", "|i1"})
+
+_GENERATOR: Final = struct.Struct("<16s16sII")
+
+GENERATOR_SIZE: Final = _GENERATOR.size
+"""Bytes of a saved generator: state and increment of 128 bits, a flag, and a spare 32-bit number."""
 
 Setting = int | float | str | bool
 Arrays = Mapping[str, npt.NDArray[Any]]
@@ -194,3 +198,36 @@ def _check_origin(saved: Saved, player: str, settings: Mapping[str, Setting]) ->
         raise SaveError(
             f"{player} was saved with the options {options:.200}: load it into one started with the same"
         )
+
+
+def save_generator(generator: np.random.Generator) -> bytes:
+    """Return the state of a generator made by `np.random.default_rng` (PCG64)."""
+    state = generator.bit_generator.state
+    inner = state["state"]
+    return _GENERATOR.pack(
+        inner["state"].to_bytes(16, "little"),
+        inner["inc"].to_bytes(16, "little"),
+        state["has_uint32"],
+        state["uinteger"],
+    )
+
+
+def load_generator(data: bytes) -> np.random.Generator:
+    """Return the generator that `save_generator` saved.
+
+    Raises:
+        SaveError: `data` does not have GENERATOR_SIZE bytes, or is not the state of a generator.
+    """
+    if len(data) != GENERATOR_SIZE:
+        raise SaveError(f"a saved generator has {GENERATOR_SIZE} bytes; received {len(data)}")
+    state, increment, has_uint32, uinteger = _GENERATOR.unpack(data)
+    if has_uint32 > 1 or increment[0] % 2 == 0:
+        raise SaveError("a saved generator is damaged: its state is not one of PCG64")
+    bits = np.random.PCG64()
+    bits.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": int.from_bytes(state, "little"), "inc": int.from_bytes(increment, "little")},
+        "has_uint32": has_uint32,
+        "uinteger": uinteger,
+    }
+    return np.random.Generator(bits)

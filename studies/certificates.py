@@ -38,7 +38,7 @@ _TASK: Final = InfiniteMario().parameters
 _DIGITS: Final = "".join(ACTIONS)
 
 
-@click.command("certificates")
+@click.command("python -m studies.certificates")
 @click.argument("levels", metavar="SET")
 @click.option(
     "--out",

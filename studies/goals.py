@@ -175,7 +175,7 @@ def as_markdown(given: Sequence[GoalVerdict]) -> str:
     return f"**Required and found**\n\n{markdown_table(_HEADER, rows, texts=3)}\n"
 
 
-@click.command("goals")
+@click.command("python -m studies.goals")
 @click.argument("runs", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @docs_option
 def goals(runs: Path, docs: Path | None) -> None:

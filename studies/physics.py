@@ -160,7 +160,7 @@ def _learn(
     return identified, 1 - wrong / max(steps - identified, 1), is_won(game), total
 
 
-@click.command("physics")
+@click.command("python -m studies.physics")
 @click.argument("groups", nargs=-1, required=True)
 @click.option(
     "--levels", type=click.IntRange(1, 1000), default=200, show_default=True, help="Levels of test-1000."

@@ -223,7 +223,7 @@ def as_markdown(found: Sequence[Agreement]) -> str:
     return f"**Rank correlation of the values**\n\n{markdown_table(_HEADER, rows, texts=3)}\n"
 
 
-@click.command("shared_values")
+@click.command("python -m studies.shared_values")
 @click.argument("runs", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @docs_option
 def shared_values(runs: Path, docs: Path | None) -> None:

@@ -35,7 +35,6 @@ from env_server.mario.sim.blocks import hit_block
 from env_server.mario.sim.step import tick
 from glue.compiled.records import new
 from glue.types import Action, Observation
-from studies.teacher import Teacher
 
 AGENTS: Final[tuple[type[MarioAgent], ...]] = (
     *(HierarchicalAgent, TilesAgent, SampleAgent, BestAgent, NetworkAgent, PlannerAgent),
@@ -59,10 +58,6 @@ def _many_games() -> Games:
     games.reset()
     games.step(np.array([[4]]), np.array([1]))
     return games
-
-
-def _teacher() -> None:
-    Teacher(_many_games()).prices(np.array([0]))
 
 
 def _observations() -> None:
@@ -94,7 +89,6 @@ PARTS: Final[dict[str, dict[str, Callable[[], object]]]] = {
         "its batches": lambda: InfiniteMarioBatch(InfiniteMario(max_trial_steps=1), 1).env_init(),
         "its Gymnasium environments": lambda: InfiniteMarioEnv().close(),
         "many games": _many_games,
-        "the teacher": _teacher,
     },
     "agents": {
         "observations": _observations,

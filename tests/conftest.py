@@ -20,6 +20,7 @@ import pytest
 from hypothesis import settings
 
 FOLDERS: Final = {
+    "agents/language/test_mcp.py": "language",
     "agents/soar": "soar",
     "clients": "clients",
     "experiment_runner/loggers": "loggers",

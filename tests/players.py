@@ -12,8 +12,8 @@ from glue.roles import Agent, Environment
 from glue.types import Action, Observation
 from glue.wire.messages import Role
 
-WITH_EXTRAS = ("sb3", "soar")
-"""Name prefixes of players that need more than the tests install; those players have tests of their own."""
+WITH_EXTRAS = ("chat", "mcp", "sb3", "soar")
+"""Name prefixes of players that need more than the tests have; those players have tests of their own."""
 
 Hook = Callable[[str], None]
 

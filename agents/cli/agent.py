@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from glue.cli.players import Extra, player_command
-from glue.plugins.trained import load_trained
+from glue.plugins.loading import load_trained
 from glue.wire.messages import Role
 
 agent: click.Group = player_command(

@@ -18,10 +18,10 @@ from agents.planner.route import Route
 from agents.planner.search import SETTINGS, make_room, model, search
 from glue.compiled.jit import announce_compilation
 from glue.compiled.records import Array
+from glue.console import did_you_mean
 from glue.errors import ConfigError, SaveError
 from glue.options import Option
 from glue.saves import Arrays, Saved, pack, unpack
-from glue.suggestions import did_you_mean
 from glue.types import Action, Observation
 
 _LONGEST_PLAN: Final = 64

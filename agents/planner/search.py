@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, layout
-from glue.plugins.models import find_model
+from glue.plugins.loading import find_model
 
 model: Final = find_model("mario")
 _step = model.step

@@ -30,10 +30,10 @@ from env_server.mario.game import Game
 from env_server.mario.parameters import Parameters, resolve
 from env_server.mario.pictures import read_picture, write_picture
 from env_server.mario.saving import State, pack_state, unpack_state
+from glue.console import did_you_mean
 from glue.errors import ConfigError, SaveError, SimulatorError
 from glue.options import Value, parameters, parse_assignments
 from glue.roles import Environment
-from glue.suggestions import did_you_mean
 from glue.types import Action, Observation, Step
 
 _LEVEL: Final = ("level_seed", "level_type", "level_difficulty")

@@ -25,8 +25,8 @@ import numpy as np
 from env_server.mario.parameters import Parameters
 from env_server.mario.pictures import digest_of, read_picture
 from glue.compiled.jit import entry, jit
+from glue.console import did_you_mean
 from glue.errors import ConfigError
-from glue.suggestions import did_you_mean
 
 VERSION: Final = 1
 TYPES: Final = 3

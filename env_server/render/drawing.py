@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from itertools import chain, repeat
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -56,8 +56,8 @@ def draw(observation: Observation, marks: Marks = ()) -> Picture:
     return _draw(outlined(read_scene(observation)._replace(marks=marks)))
 
 
-def save_png(path: str | os.PathLike[str], observation: Observation, scale: int = 2) -> None:
-    """Write a picture of `observation`, each pixel `scale` pixels wide and high.
+def save_png(path: str | os.PathLike[str] | IO[bytes], observation: Observation, scale: int = 2) -> None:
+    """Write a picture of `observation` to a path or an open file, each pixel `scale` pixels wide and high.
 
     Raises:
         ConfigError: the file cannot be written, or Pillow is missing.
@@ -300,7 +300,7 @@ def _image(picture: Picture) -> Image:
     return image
 
 
-def _save(path: str | os.PathLike[str], image: Image, kind: str, **options: Any) -> None:
+def _save(path: str | os.PathLike[str] | IO[bytes], image: Image, kind: str, **options: Any) -> None:
     try:
         image.save(path, kind, **options)
     except OSError as error:

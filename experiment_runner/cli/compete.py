@@ -193,11 +193,11 @@ def rerun(directory: Path, trials: tuple[str, ...], reason: str) -> None:
 
 
 def _act(directory: Path, acts: Callable[[Course, Results], list[Act]]) -> None:
-    from experiment_runner.competition.board.forms import told
+    from experiment_runner.competition.board.forms import line_of
     from experiment_runner.competition.course import act_on
 
     for act in act_on(directory, acts):
-        say(told(act))
+        say(line_of(act))
 
 
 @compete.command()

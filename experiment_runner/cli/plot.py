@@ -12,8 +12,7 @@ import click
 
 from experiment_runner.cli.options import over_option, select_option, selected
 from glue import __version__
-from glue.console import say
-from glue.suggestions import did_you_mean
+from glue.console import did_you_mean, say
 
 
 def _size(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:

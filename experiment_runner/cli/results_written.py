@@ -31,9 +31,8 @@ from experiment_runner.store.merge import merge as merge_runs
 from experiment_runner.store.output import written
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
-from glue.console import say
+from glue.console import did_you_mean, say
 from glue.errors import ConfigError, ExperimentError
-from glue.suggestions import did_you_mean
 
 
 @click.command()

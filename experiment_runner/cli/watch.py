@@ -14,9 +14,8 @@ from glue import __version__
 from glue.console import say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
-from glue.plugins.loading import construct, find
+from glue.plugins.loading import construct, find, load_trained
 from glue.plugins.naming import NamingCommand, complete_names
-from glue.plugins.trained import load_trained
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:

@@ -21,7 +21,6 @@ from experiment_runner.competition.records.replay import made_for
 from experiment_runner.competition.settings import Entrant, Gate, Limits
 from experiment_runner.competition.starters import Launch, Running, Starter, gate_for, starter_for
 from experiment_runner.competition.trials import agent_seed
-from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended, Lost, Recorded, decode
 from experiment_runner.executors.workers import serve
 from experiment_runner.plan.plan import TrialSpec
@@ -37,8 +36,7 @@ from glue.hub.io.server import Hub
 from glue.options import build
 from glue.plugins.loading import find
 from glue.trajectory import ActionWriter, Ending
-from glue.wire.limits import MAX_BODY
-from glue.wire.messages import Event, Role
+from glue.wire.messages import MAX_BODY, Event, Role
 
 MODULE: Final = "experiment_runner.competition.match"
 
@@ -80,10 +78,10 @@ class Match:
     gate: Gate | None = None
 
 
-class Played(NamedTuple):
-    """A piece of the record."""
+class Piece(NamedTuple):
+    """The next bytes of the record."""
 
-    piece: bytes
+    data: bytes
 
 
 class Forfeited(NamedTuple):
@@ -92,7 +90,7 @@ class Forfeited(NamedTuple):
     reason: str
 
 
-Report = Recorded | Played | Forfeited | Ended | Lost
+Report = Recorded | Piece | Forfeited | Ended | Lost
 
 
 class _Unfinished(ExperimentError):
@@ -137,7 +135,7 @@ class _Playing:
     def __init__(self, match: Match, send: Callable[[Report], None], clock: Callable[[], float]) -> None:
         self._match = match
         self._clock = clock
-        self._record = ActionWriter(lambda piece: send(Played(piece)))
+        self._record = ActionWriter(lambda data: send(Piece(data)))
         self._environment = RecordedEnvironment(
             made_for(match.spec), self._record, match.spec, lambda result: send(Recorded(result, None))
         )
@@ -250,7 +248,7 @@ def prepare(environments: Sequence[str]) -> None:
 def main() -> None:
     """Play the match received over the socket whose descriptor is the first argument."""
 
-    def run(job: Any, send: Callable[[object], None], _: Interrupts) -> None:
+    def run(job: Any, send: Callable[[object], None]) -> None:
         match = decode(job, {Match.__name__: Match})
         play(match, send, starter_for(match.entrant))
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Final
 
 from experiment_runner.competition.course import Course, course_of
-from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Played, Report
+from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Piece, Report
 from experiment_runner.competition.records.journal import ENTER, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
 from experiment_runner.competition.records.seal import add_trials, check_seal, record_outcome, seal
@@ -213,8 +213,8 @@ class _Matches(Closing):
         match report:
             case Recorded(result):
                 self._store.record(trial_id, result)
-            case Played(piece):
-                self._records[trial_id].append(piece)
+            case Piece(data):
+                self._records[trial_id].append(data)
             case Forfeited(reason):
                 self._forfeits[trial_id] = reason
 

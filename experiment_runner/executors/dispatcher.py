@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterable
-from types import TracebackType
-from typing import Final, Generic, Protocol, Self, TypeVar
+from contextlib import AbstractContextManager
+from typing import Any, Final, Protocol
 
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended, Lost
-from experiment_runner.plan.plan import TrialSpec
 
 _MAX_LOSSES: Final = 3
 """Number of consecutive losses without progress after which a job has failed."""
@@ -20,24 +19,8 @@ _MAX_LOSSES: Final = 3
 _WAIT_SECONDS: Final = 0.1
 
 
-class HasTrial(Protocol):
-    """A job."""
-
-    @property
-    def spec(self) -> TrialSpec:
-        """The trial."""
-        ...
-
-
-JobT = TypeVar("JobT", bound=HasTrial)
-_JobIn = TypeVar("_JobIn", bound=HasTrial, contravariant=True)
-_JobOut = TypeVar("_JobOut", bound=HasTrial, covariant=True)
-ReportT = TypeVar("ReportT")
-_ReportIn = TypeVar("_ReportIn", contravariant=True)
-
-
-class Executor(Protocol[_JobIn, ReportT]):
-    """Interface that runs jobs. Leaving its context ends them all.
+class Executor(AbstractContextManager["Executor"], Protocol):
+    """Interface that runs jobs, which have the trial as `spec`. Leaving its context ends them all.
 
     Attributes:
         size: maximum number of concurrent jobs.
@@ -45,11 +28,11 @@ class Executor(Protocol[_JobIn, ReportT]):
 
     size: int
 
-    def start(self, job: _JobIn) -> None:
+    def start(self, job: Any) -> None:
         """Start a job. It is over when `receive` returns `Ended` or `Lost` for its trial."""
         ...
 
-    def receive(self, seconds: float) -> list[tuple[str, ReportT | Ended | Lost]]:
+    def receive(self, seconds: float) -> list[tuple[str, Any]]:
         """Return reports with the ids of their trials, in order for each trial; wait at most `seconds`."""
         ...
 
@@ -57,25 +40,19 @@ class Executor(Protocol[_JobIn, ReportT]):
         """Ask all jobs to end soon: the run is interrupted."""
         ...
 
-    def __enter__(self) -> Self: ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-
-class Collector(Protocol[_JobOut, _ReportIn]):
+class Collector(Protocol):
     """Interface that makes the jobs of a run and stores their reports. Its methods may raise StorageError."""
 
     def may_start(self, trial_id: str, running: Collection[str]) -> bool:
         """Return whether a trial may start while others are running."""
         ...
 
-    def start(self, trial_id: str) -> _JobOut:
+    def start(self, trial_id: str) -> Any:
         """Return the job of a trial that starts now, for the first time or again."""
         ...
 
-    def take(self, trial_id: str, report: _ReportIn) -> None:
+    def take(self, trial_id: str, report: Any) -> None:
         """Store a report."""
         ...
 
@@ -96,7 +73,7 @@ class Collector(Protocol[_JobOut, _ReportIn]):
         ...
 
 
-class Dispatcher(Generic[JobT, ReportT]):
+class Dispatcher:
     """Dispatcher of the jobs of trials to an executor.
 
     Args:
@@ -105,9 +82,7 @@ class Dispatcher(Generic[JobT, ReportT]):
         interrupts: gives jobs time to end before Ctrl-C takes effect.
     """
 
-    def __init__(
-        self, executor: Executor[JobT, ReportT], collector: Collector[JobT, ReportT], interrupts: Interrupts
-    ) -> None:
+    def __init__(self, executor: Executor, collector: Collector, interrupts: Interrupts) -> None:
         self._executor = executor
         self._collector = collector
         self._interrupts = interrupts

@@ -13,12 +13,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from queue import SimpleQueue
 from types import FrameType
-from typing import Final, Self
+from typing import Self
 
 import glue.system.forks  # noqa: F401  # for the handlers that are set here
-
-GRACE_SECONDS: Final = 0.5
-"""Maximum time for which a signal is deferred, in seconds."""
+from experiment_runner.executors.settings import GRACE_SECONDS
 
 
 class Terminated(KeyboardInterrupt):

@@ -30,8 +30,7 @@ from glue.engine.experiment import Experiment
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, Bind, HubConfig, LegacyPort
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.listener import open_address
-from glue.hub.io.renewal import renewed_on_hangup
-from glue.hub.io.server import Hub
+from glue.hub.io.server import Hub, renewed_on_hangup
 from glue.keys.allowed import HUB, read_keys
 from glue.keys.certificates import PUBLIC, SECRET
 from glue.legacy.gateway import Gateway, open_legacy_port

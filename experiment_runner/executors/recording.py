@@ -86,18 +86,18 @@ class Recorder:
         self._questions = questions
         self._answers: dict[str, str] = {}
         self._task_spec = ""
-        self._goes_on = False
+        self._continued = False
         self._in_run = False
 
-    def begin(self, task_spec: str, goes_on: bool) -> None:
+    def begin(self, task_spec: str, continued: bool) -> None:
         """Begin a new run of the recording with the next episode.
 
         Args:
             task_spec: as `rl_init` returned it.
-            goes_on: whether the environment has already run episodes or loaded a state since `rl_init`.
+            continued: whether the environment has already run episodes or loaded a state since `rl_init`.
         """
         self._task_spec = task_spec
-        self._goes_on = goes_on
+        self._continued = continued
         self._in_run = False
 
     def rl_episode(self, max_steps: int, meter: Meter | None = None) -> bool:
@@ -113,14 +113,14 @@ class Recorder:
             LocalProtocolError: the episode exceeds the limits of a recording.
         """
         if not self._in_run:
-            self._writer.run(run_of(self._spec, self._task_spec, self._saved() if self._goes_on else b""))
+            self._writer.run(run_of(self._spec, self._task_spec, self._saved() if self._continued else b""))
             self._in_run = True
         try:
             return self._episode(max_steps, meter)
         except PeerLost:
             self._writer.void()
             # The environment is a new one, or has executed a step whose result was not received.
-            self.begin(self._task_spec, goes_on=True)
+            self.begin(self._task_spec, continued=True)
             raise
 
     def _saved(self) -> bytes:

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final
 
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
-from experiment_runner.executors.interrupts import GRACE_SECONDS, Interrupts
+from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import (
     BEGINNING,
     AtHub,
@@ -32,7 +32,7 @@ from experiment_runner.executors.trial import run_job
 from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
-from experiment_runner.report.progress import Reporter
+from experiment_runner.report.progress import Progress
 from experiment_runner.store.meetings import LiveSession, Meetings
 from experiment_runner.store.records import OF_PLAYERS, UNSEEDED
 from experiment_runner.store.store import Store
@@ -46,7 +46,7 @@ _COMMIT_SECONDS: Final = 0.05
 def run_trials(
     store: Store,
     config: RunConfig,
-    reporter: Reporter,
+    reporter: Progress,
     recording: TrajectoryWriter | None = None,
     *,
     again: str = "",
@@ -54,7 +54,7 @@ def run_trials(
     """Run the unfinished trials of a run; return the number of all its trials that have failed.
 
     A failure is recorded with its reason, and the other trials continue. After Ctrl-C, running episodes have
-    half a second to end, and are stored with a checkpoint.
+    `config.grace` seconds to end, and are stored with a checkpoint.
 
     Args:
         store: the store of the run.
@@ -68,12 +68,11 @@ def run_trials(
         ExperimentError: the workers or the cluster cannot be started.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
-
     reporter.start(store.trials())
     executor = _executor(config)
     try:
         # Workers defer Ctrl-C themselves, so wait a little longer for their reports.
-        grace = GRACE_SECONDS if executor is None else GRACE_SECONDS + 0.3
+        grace = config.grace if executor is None else config.grace + 0.3
         trial_ids = [trial.trial_id for trial in remaining(store)]
         with RunCollector(store, config, reporter) as collector, Interrupts(grace) as interrupts:
             if executor is None:
@@ -94,7 +93,7 @@ def run_trials(
     return sum(trial.failure is not None for trial in store.trials())
 
 
-def _executor(config: RunConfig) -> Executor[Job, Report] | None:
+def _executor(config: RunConfig) -> Executor | None:
     if config.backend is Backend.RAY:
         return RayExecutor(config.address, config.workers)
     return None if config.workers is None else LocalExecutor(config.workers)
@@ -112,7 +111,7 @@ class RunCollector(Closing):
         reporter: shows progress.
     """
 
-    def __init__(self, store: Store, config: RunConfig, reporter: Reporter) -> None:
+    def __init__(self, store: Store, config: RunConfig, reporter: Progress) -> None:
         self._store = store
         self._config = config
         self._reporter = reporter

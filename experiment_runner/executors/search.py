@@ -27,7 +27,7 @@ from experiment_runner.plan.file import dump_plan
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec, plain, trial_seed
 from experiment_runner.plan.tuning import Range, Space, TunePlan
-from experiment_runner.report.progress import Reporter
+from experiment_runner.report.progress import Progress
 from experiment_runner.report.tables import counted
 from experiment_runner.store.layout import PLAN_FILE
 from experiment_runner.store.records import TUNED
@@ -48,7 +48,7 @@ class _Chosen(NamedTuple):
 
 
 def tune(
-    directory: Path, plan: Plan, config: RunConfig, reporter: Reporter, again: str = ""
+    directory: Path, plan: Plan, config: RunConfig, reporter: Progress, again: str = ""
 ) -> tuple[Path, int]:
     """Search, and run the chosen configurations; return the result's directory and number of failed trials.
 

@@ -13,6 +13,9 @@ from glue.hub.config import DEFAULT_SESSION, LegacyPort
 from glue.hub.io.listener import OpenAddress
 from glue.wire.messages import Role
 
+GRACE_SECONDS: Final = 0.5
+"""Default time in which a running episode may end before Ctrl-C takes effect."""
+
 BOTH: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
 """Both players."""
 
@@ -83,6 +86,7 @@ class RunConfig:
         address: address of the Ray cluster; None for the one that Ray finds, or one on this machine.
         questions: messages to send to the agent after each episode, and each recorded step.
         metrics: the agents' metrics to record; None for none.
+        grace: seconds in which a running episode may end before Ctrl-C takes effect.
     """
 
     placement: Placement = field(default_factory=Placement)
@@ -92,8 +96,9 @@ class RunConfig:
     address: str | None = None
     questions: tuple[str, ...] = ()
     metrics: MetricsPlan | None = None
+    grace: float = GRACE_SECONDS
 
     @property
     def parallel(self) -> bool:
-        """Whether trials run in processes of their own, at the same time."""
+        """Whether trials run in separate processes, at the same time."""
         return self.backend is not Backend.LOCAL or self.workers is not None

@@ -128,7 +128,7 @@ def watched(
         while not over.wait(seconds):
             now, steps = done(), glue.steps_under_way()
             if now == before and steps != 0:  # 0: it is still being initialised
-                with suppress(OSError, KeyboardInterrupt):  # nobody reads the reports any more
+                with suppress(OSError, KeyboardInterrupt):  # the reports are no longer read
                     send(Playing(now + 1, steps))
             before = now
 
@@ -263,8 +263,7 @@ class _Trial:
         try:
             self._glue.rl_cleanup()
         except (GlueError, SystemExit) as error:
-            why = str(error) if isinstance(error, GlueError) else f"SystemExit: {error}"
-            self._report("cleanup", f"all episodes are stored, but cleaning up failed: {why}")
+            self._report("cleanup", f"all episodes are stored, but cleaning up failed: {described(error)}")
 
     def _replay(self) -> None:
         """Bring both players to the current state of this trial."""
@@ -277,7 +276,7 @@ class _Trial:
             self._can_save = self._save() is not None
         self._repeat()
         if self._recorder is not None:
-            self._recorder.begin(task_spec, goes_on=checkpoint is not None or bool(self._since))
+            self._recorder.begin(task_spec, continued=checkpoint is not None or bool(self._since))
 
     def _repeat(self) -> None:
         """Repeat the episodes since the newest checkpoint, which restores the state of the players."""

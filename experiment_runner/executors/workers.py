@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from types import FrameType, TracebackType
 from typing import Any, Final, NamedTuple, NoReturn, Self
 
-from experiment_runner.executors.dispatcher import HasTrial
 from experiment_runner.executors.interrupts import Interrupts, Terminated
 from experiment_runner.executors.job import REPORTS, Ended, Lost, decode, decode_job, encode, unpacker
 from experiment_runner.executors.trial import run_job
@@ -74,7 +73,7 @@ class LocalExecutor:
         self._arguments = warm
         self._warm: Warm | None = None
 
-    def start(self, job: HasTrial) -> None:
+    def start(self, job: Any) -> None:
         """Run a trial.
 
         Raises:
@@ -155,17 +154,19 @@ class LocalExecutor:
 def main() -> None:
     """Run the job received over the socket whose descriptor is the first argument."""
 
-    def run(job: Any, send: Callable[[object], None], interrupts: Interrupts) -> None:
-        run_job(decode_job(job), send, interrupts=interrupts)
+    def run(value: Any, send: Callable[[object], None]) -> None:
+        job = decode_job(value)
+        with Interrupts(job.config.grace) as interrupts:
+            run_job(job, send, interrupts=interrupts)
 
     serve(run)
 
 
-def serve(run: Callable[[Any, Callable[[object], None], Interrupts], None]) -> None:
+def serve(run: Callable[[Any, Callable[[object], None]], None]) -> None:
     """Run a worker: receive one job over the socket whose descriptor is the first argument, and run it.
 
     Args:
-        run: called with the unpacked job, a function that sends a report, and the `Interrupts`.
+        run: called with the unpacked job, and a function that sends a report.
     """
     signal.signal(signal.SIGTERM, _terminate)
     with contextlib.suppress(Terminated), socket.socket(fileno=int(sys.argv[1])) as parent:
@@ -176,8 +177,7 @@ def serve(run: Callable[[Any, Callable[[object], None], Interrupts], None]) -> N
             except OSError:
                 raise Terminated from None  # the experiment is over
 
-        with Interrupts() as interrupts:
-            run(_receive(parent), send, interrupts)
+        run(_receive(parent), send)
 
 
 def _receive(parent: socket.socket) -> Any:

@@ -25,10 +25,10 @@ from experiment_runner.plan.limits import BUDGETS, COUNTS
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.toml import SettingError, is_option, shown
 from experiment_runner.plan.tuning import Range, TunePlan
+from glue.console import did_you_mean
 from glue.errors import ConfigError
 from glue.options import Value, parameters
 from glue.plugins.loading import file_in, located
-from glue.suggestions import did_you_mean
 
 ROLES: Final = ("environments", "agents")
 

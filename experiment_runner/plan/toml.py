@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -12,9 +12,9 @@ from typing import Any, Final, TypeVar, get_args, get_type_hints
 
 import msgspec
 
+from glue.console import did_you_mean
 from glue.errors import ExperimentError
 from glue.files import read_regular
-from glue.suggestions import did_you_mean
 
 _T = TypeVar("_T")
 
@@ -94,17 +94,6 @@ def naming_lines(path: Path, text: str) -> Iterator[None]:
         raise ExperimentError(f"{path}{'' if line is None else f', line {line}'}: {error}") from error
 
 
-def check_keys(table: Mapping[str, Any], known: Collection[str], what: str, *where: str) -> None:
-    """Check that a table has only known keys.
-
-    Raises:
-        SettingError: it has another; the message suggests near misses.
-    """
-    for key in table:
-        if key not in known:
-            raise SettingError(f"{what} has no {key!r:.80}{did_you_mean(key, known)}", *where, key)
-
-
 def converted(
     kind: type[_T], table: object, what: str, /, *keys: str, base: Path = Path(), **given: object
 ) -> _T:
@@ -124,8 +113,10 @@ def converted(
     """
     if not isinstance(table, dict):
         raise SettingError(f"{'.'.join(keys)} must be a table, as in: [{'.'.join(keys)}]", *keys)
-    check_keys(table, [field.name for field in fields(kind) if field.name not in given], what, *keys)  # type: ignore[arg-type]
+    known = [field.name for field in fields(kind) if field.name not in given]  # type: ignore[arg-type]
     for key, value in table.items():
+        if key not in known:
+            raise SettingError(f"{what} has no {key!r:.80}{did_you_mean(key, known)}", *keys, key)
         if isinstance(value, str) and not (value and value.isprintable()):
             raise SettingError(f"{key} must be a printable string, not {shown(value)}", *keys, key)
     try:

@@ -69,7 +69,10 @@ class Warm(Closing):
         finally:
             os.close(stdin)
             os.close(theirs)
-        return Fork(os.fdopen(ours, "wb", 0), status)
+        pid = os.read(status, _NUMBER.size)
+        if not pid:
+            raise ExperimentError("the process that starts workers has ended")
+        return Fork(_NUMBER.unpack(pid)[0], os.fdopen(ours, "wb", 0), status)
 
     def close(self) -> None:
         """End the process; its forks are not affected."""
@@ -81,15 +84,16 @@ class Fork:
     """A process forked by a `Warm`, with the methods of `subprocess.Popen` that `children.Child` names.
 
     Args:
+        pid: its process ID.
         stdin: when it is closed, the process ends.
-        status: descriptor from which process ID and exit status are read.
+        status: descriptor from which the exit status is read.
     """
 
-    def __init__(self, stdin: IO[bytes], status: int) -> None:
+    def __init__(self, pid: int, stdin: IO[bytes], status: int) -> None:
         self.stdin: IO[bytes] | None = stdin
         self.returncode: int | None = None
+        self._pid = pid
         self._status = os.fdopen(status, "rb", 0)
-        self._read = b""
 
     def poll(self) -> int | None:
         """Return the exit status, -N after signal N; None while the process is alive."""
@@ -103,17 +107,15 @@ class Fork:
         Raises:
             subprocess.TimeoutExpired: it did not end in time.
         """
-        while self.returncode is None:
+        if self.returncode is None:
             if not select.select([self._status], [], [], timeout)[0]:
                 raise subprocess.TimeoutExpired(_MODULE, timeout or 0.0)
-            data = self._status.read(2 * _NUMBER.size - len(self._read))
-            self._read += data
-            if not data:  # whoever forked it is gone
+            if data := self._status.read(_NUMBER.size):
+                self.returncode = int(_NUMBER.unpack(data)[0])
+            else:  # the process that forked it has ended
                 self.kill()
                 self.returncode = -signal.SIGKILL
-            elif len(self._read) == 2 * _NUMBER.size:
-                self.returncode = _NUMBER.unpack_from(self._read, _NUMBER.size)[0]
-        self._status.close()
+            self._status.close()
         return self.returncode
 
     def terminate(self) -> None:
@@ -125,14 +127,9 @@ class Fork:
         self._signal(signal.SIGKILL)
 
     def _signal(self, number: int) -> None:
-        while self.returncode is None and len(self._read) < _NUMBER.size:
-            data = self._status.read(_NUMBER.size - len(self._read))
-            if not data:  # it was never forked
-                return
-            self._read += data
         if self.returncode is None:
             with suppress(ProcessLookupError):
-                os.kill(_NUMBER.unpack_from(self._read)[0], number)
+                os.kill(self._pid, number)
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.analysis.stats import FEW_TRIALS, Estimate, bootstrap_rng, mean_of_last
 from experiment_runner.plan.plan import RoleSpec, plain
 from experiment_runner.report.overview import FEW
-from experiment_runner.report.tables import counted
+from experiment_runner.report.tables import unfinished
 from experiment_runner.store.output import finite
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
@@ -137,15 +137,7 @@ def _performance(setting: Setting, over: str) -> dict[int, float]:
 
 def left_out(*runs: Results) -> list[str]:
     """Return a line for each run of which trials do not count, or not as a whole."""
-    lines = []
-    for run in runs:
-        trials = [trial for trial in run.trials() if not trial.finished]
-        failed = sum(trial.failure is not None for trial in trials)
-        if failed:
-            lines.append(f"{counted(failed, 'failed trial')} of {run.directory} left out")
-        if len(trials) > failed:
-            lines.append(f"{counted(len(trials) - failed, 'trial')} of {run.directory} not finished")
-    return lines
+    return [line for run in runs for line in unfinished(run.trials(), f" of {run.directory}")]
 
 
 def _environment(setting: Setting) -> str:

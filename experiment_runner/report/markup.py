@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import FEW_TRIALS
 from experiment_runner.report.overview import FEW, setting_numbers
-from experiment_runner.report.tables import counted
+from experiment_runner.report.tables import counted, unfinished
 from glue.console import one_line
 from glue.errors import ExperimentError
 
@@ -73,11 +73,7 @@ def _notes(settings: Sequence[Setting], numbers: Sequence[dict[str, object]], ov
     notes = [f"Mean over {trials} of the mean return of the {part}, with its 95 % bootstrap interval"]
     if any(row["few_trials"] for row in numbers):
         notes.append(f"{FEW.strip()} of fewer than {FEW_TRIALS} trials: the interval may well miss the mean")
-    left = [trial for setting in settings for trial in setting.trials if not trial.finished]
-    if failed := sum(trial.failure is not None for trial in left):
-        notes.append(f"{counted(failed, 'failed trial')} left out")
-    if len(left) > failed:
-        notes.append(f"{counted(len(left) - failed, 'trial')} not finished")
+    notes += unfinished([trial for setting in settings for trial in setting.trials])
     return [f"{note}." for note in notes]
 
 

@@ -11,7 +11,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Final, Protocol, TextIO
+from typing import Any, Final, TextIO
 
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.tables import counted, format_table, wrap
@@ -37,46 +37,11 @@ _CLEAR_LINE: Final = "\x1b[K"
 _CLEAR_BELOW: Final = "\x1b[J"
 
 
-class Reporter(Protocol):
-    """Receives the progress of the trials; an episode is stored before it is reported."""
-
-    def start(self, trials: Sequence[TrialRecord]) -> None:
-        """Report the start of a run; `trials` are all of its trials."""
-        ...
-
-    def begin(self, spec: TrialSpec, done: int, steps: int) -> None:
-        """Report that a trial starts, or continues after `done` episodes, of `steps` steps in all."""
-        ...
-
-    def rename(self, spec: TrialSpec, name: str) -> None:
-        """Show a trial by this name from now on: a player from outside joined it."""
-        ...
-
-    def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
-        """Report a finished episode."""
-        ...
-
-    def playing(self, spec: TrialSpec, episode: int, steps: int | None) -> None:
-        """Report that an episode has not ended for a while, after so many steps; None if not known."""
-        ...
-
-    def end(self, spec: TrialSpec) -> None:
-        """Report that a trial is finished, or has failed."""
-        ...
-
-    def say(self, line: str) -> None:
-        """Show a line of text."""
-        ...
-
-    def close(self) -> None:
-        """End the report: the run is over."""
-        ...
-
-
 class Progress:
     """Shows a table of running trials, redrawn in place on a terminal; elsewhere a line every few seconds.
 
-    On a terminal there is also a progress bar, in color if `color` is true.
+    On a terminal there is also a progress bar, in color if `color` is true. An episode is stored before it is
+    reported.
 
     Args:
         stream: the output stream; None for standard error.
@@ -102,16 +67,20 @@ class Progress:
         self._total = _Total([], clock())
 
     def start(self, trials: Sequence[TrialRecord]) -> None:
+        """Report the start of a run; `trials` are all of its trials."""
         self._total = _Total(trials, self._clock())
 
     def begin(self, spec: TrialSpec, done: int, steps: int) -> None:
+        """Report that a trial starts, or continues after `done` episodes, of `steps` steps in all."""
         self._rows[spec.id] = _Row(spec, done, steps)
         self._total.done[spec.id] = steps if spec.steps else done
 
     def rename(self, spec: TrialSpec, name: str) -> None:
+        """Show a trial by this name from now on: a player from outside joined it."""
         self._rows[spec.id].name = name
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
+        """Report a finished episode."""
         now = self._clock()
         self._rows[spec.id].add(result, now)
         self._total.add(spec, result)
@@ -119,12 +88,14 @@ class Progress:
             self._show(now)
 
     def playing(self, spec: TrialSpec, episode: int, steps: int | None) -> None:
+        """Report that an episode has not ended for a while, after so many steps; None if not known."""
         self._rows[spec.id].play(episode, steps)
         now = self._clock()
         if now - self._shown_at >= self._every:
             self._show(now)
 
     def end(self, spec: TrialSpec) -> None:
+        """Report that a trial is finished, or has failed."""
         row = self._rows[spec.id]
         if self._live:
             self._show(self._clock())
@@ -133,10 +104,12 @@ class Progress:
         del self._rows[spec.id]
 
     def say(self, line: str) -> None:
+        """Show a line of text."""
         self._erase()
         print(for_terminal(line), file=self._stream, flush=True)
 
     def close(self) -> None:
+        """End the report: the run is over."""
         self._erase()
         self._stream.flush()
 
@@ -284,18 +257,11 @@ class JsonLines(Progress):
 
     Args:
         lines: stream for the objects.
-        stream, clock, color: as in `Progress`.
+        stream, settings: as in `Progress`.
     """
 
-    def __init__(
-        self,
-        lines: TextIO,
-        stream: TextIO | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        *,
-        color: bool = False,
-    ) -> None:
-        super().__init__(stream, clock, color=color)
+    def __init__(self, lines: TextIO, stream: TextIO | None = None, **settings: Any) -> None:
+        super().__init__(stream, **settings)
         self._lines = lines
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import shutil
 import sys
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
-from experiment_runner.store.records import Totals
+from experiment_runner.store.records import Totals, TrialRecord
 from experiment_runner.store.results import Results
 from glue.console import one_line
 
@@ -26,6 +26,16 @@ def terminal_width() -> int | None:
 def counted(number: int, thing: str) -> str:
     """Return a number and its noun, as in `1 trial` and `2 trials`."""
     return f"{number:,} {thing}" if number == 1 else f"{number:,} {thing}s"
+
+
+def unfinished(trials: Iterable[TrialRecord], where: str = "") -> list[str]:
+    """Return a line about the trials that have failed, and one about others that are not finished."""
+    left = [trial for trial in trials if not trial.finished]
+    failed = sum(trial.failure is not None for trial in left)
+    lines = [f"{counted(failed, 'failed trial')}{where} left out"] if failed else []
+    if len(left) > failed:
+        lines.append(f"{counted(len(left) - failed, 'trial')}{where} not finished")
+    return lines
 
 
 def format_table(

@@ -30,7 +30,7 @@ from experiment_runner.view.catalog import (
 from experiment_runner.view.curves import curves, drawn, wanted_by
 from experiment_runner.view.guard import WRITABLE, Address, Guard
 from experiment_runner.view.live import Live
-from experiment_runner.view.reader import Kept, Reader, json_response
+from experiment_runner.view.reader import Cache, Reader, json_response
 from experiment_runner.view.stream import Pulse
 from glue.errors import ConfigError, GlueError
 from glue.installed import entry_points
@@ -89,13 +89,13 @@ def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
         wanted, look = wanted_by([catalog.entry(run).directory for run in runs], request.query_params)
         signs = [catalog.signs(run) for run in runs]
         return json_response(
-            await read(lambda: drawn(kept.get(wanted, signs, lambda: curves(wanted)), wanted.over, look))
+            await read(lambda: drawn(cache.get(wanted, signs, lambda: curves(wanted)), wanted.over, look))
         )
 
     async def board(request: Request) -> Response:
         run_id = request.path_params["run"]
         directory, signs = catalog.entry(run_id).directory, catalog.signs(run_id)
-        return json_response(await read(lambda: kept.get(directory, signs, lambda: standings_of(directory))))
+        return json_response(await read(lambda: cache.get(directory, signs, lambda: standings_of(directory))))
 
     async def notes(request: Request) -> Response:
         directory = catalog.entry(request.path_params["run"]).directory
@@ -108,7 +108,7 @@ def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
         await read(lambda: write_notes(directory, found))
         return json_response(found)
 
-    kept = Kept()
+    cache = Cache()
     return [
         Route("/api/run/{run}", run),
         Route(WRITABLE + "{run}", notes, methods=["PUT"]),

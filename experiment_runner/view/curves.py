@@ -19,8 +19,8 @@ from experiment_runner.report.plots import fitting_window, step_window
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import MEASURES
 from experiment_runner.store.results import Results
+from glue.console import did_you_mean
 from glue.errors import ExperimentError
-from glue.suggestions import did_you_mean
 
 _HEIGHT: Final = 420  # of a drawing, in pixels
 _TWO: Final = 700  # from this width on, two drawings stand side by side

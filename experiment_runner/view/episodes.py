@@ -22,7 +22,7 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
 from experiment_runner.view.catalog import Catalog
-from experiment_runner.view.reader import Kept, Reader, as_json, json_response
+from experiment_runner.view.reader import Cache, Reader, as_json, json_response
 from glue.errors import ExperimentError, TaskSpecError
 from glue.taskspec import Bound, Ranges, parse_task_spec
 from glue.trajectory import Answer, Episode, TrajectoryError, TrajectoryReader
@@ -55,7 +55,9 @@ def routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
 
     async def recordings(request: Request) -> Response:
         directory = catalog.entry(request.path_params["run"]).directory
-        return json_response(await read(lambda: [_listed(*item, kept) for item in _found(directory).items()]))
+        return json_response(
+            await read(lambda: [_listed(*item, cache) for item in _found(directory).items()])
+        )
 
     async def episode(request: Request) -> Response:
         directory = catalog.entry(request.path_params["run"]).directory
@@ -67,7 +69,7 @@ def routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
             await read(lambda: _packed(directory, name, count)), media_type="application/octet-stream"
         )
 
-    kept = Kept()
+    cache = Cache()
     return [
         Route("/api/recordings/{run}", recordings),
         Route("/api/episodes/{run}/{episode}", episode),
@@ -132,12 +134,12 @@ def _found(directory: Path) -> dict[str, Path]:
     }
 
 
-def _listed(name: str, path: Path, kept: Kept) -> dict[str, Any]:
+def _listed(name: str, path: Path, cache: Cache) -> dict[str, Any]:
     try:
         status = path.lstat()
     except OSError as error:
         return {"id": name, "name": path.name, "episodes": [], "error": str(error.strerror)}
-    found: dict[str, Any] = kept.get(path, (status.st_mtime_ns, status.st_size), lambda: _episodes(path))
+    found: dict[str, Any] = cache.get(path, (status.st_mtime_ns, status.st_size), lambda: _episodes(path))
     return {"id": name, "name": path.name, **found}
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.competition.board.forms import LEGEND, number, told
+from experiment_runner.competition.board.forms import LEGEND, line_of, number
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.report import svg
 from glue.console import printable
@@ -59,7 +59,7 @@ def as_page(board: Standings) -> str:
         body.append(_table("Forfeits", ("entrant", "task", "trial", "reason"), forfeits))
     if players := [(one.name, one.player, one.id) for one in board.entrants if one.id]:
         body.append(_table("Programs", ("entrant", "program", "id"), players))
-    body += [f"<p>{_escape(told(act))}</p>" for act in board.acts]
+    body += [f"<p>{_escape(line_of(act))}</p>" for act in board.acts]
     body.append("<h2>Learning</h2><p>Sum of rewards over the course of a task; mean over trials.</p>")
     body.append(_drawings(board))
     if board.seeds:

@@ -16,6 +16,7 @@ from typing import Final
 
 from glue.errors import ConfigError
 
+COMMAND: Final = "view"
 _STANDARD_STREAMS: Final = (0, 1, 2)
 
 
@@ -42,7 +43,7 @@ def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
     """
     from experiment_runner.processes import children
 
-    process = children.start("view", [str(directory), "--stderr"])
+    process = children.start(COMMAND, [str(directory), "--stderr"])
 
     def wait() -> None:
         if process.poll() is None and any(map(os.isatty, _STANDARD_STREAMS)):

@@ -59,7 +59,7 @@ class _Answer(NamedTuple):
     value: Any
 
 
-class Kept:
+class Cache:
     """Cache of the newest answers, by question."""
 
     def __init__(self) -> None:

@@ -125,8 +125,7 @@ def serve_until_interrupted(
     keys: Path | None = None,
 ) -> None:
     """Serve until Ctrl-C or SIGTERM, of which every peer is notified; read `keys` again on SIGHUP."""
-    from glue.hub.io.renewal import renewed_on_hangup
-    from glue.hub.io.server import Hub
+    from glue.hub.io.server import Hub, renewed_on_hangup
     from glue.keys.allowed import HUB
     from glue.keys.certificates import PUBLIC
     from glue.legacy.gateway import Gateway

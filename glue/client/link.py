@@ -20,8 +20,7 @@ from glue.hub.sessions import INSTANCE_SIZE
 from glue.sockets.spinning import LONG_SPIN_SECONDS, SEVERAL_CORES
 from glue.system import chance, clock
 from glue.wire.codec import UnknownKind, clip
-from glue.wire.limits import MAX_BODY
-from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
+from glue.wire.messages import CALLS, MAX_BODY, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context

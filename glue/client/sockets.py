@@ -126,7 +126,6 @@ class SocketTransport:
         return self._send_joined()
 
     def _send_joined(self) -> bool:
-        """Send the messages that wait, if there are any."""
         data = b"".join(self._joined)
         self._joined.clear()
         return self._send(data) if data else self.connected
@@ -309,7 +308,6 @@ class SocketTransport:
         limit_silence(self._socket, self._timeout)
 
     def _new_stream(self) -> Stream:
-        """Return the stream of a new connection."""
         if self._key is not None:
             from glue.wire.curve import CurveClient  # needs an extra
 

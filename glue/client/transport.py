@@ -16,8 +16,7 @@ from glue.client.target import OwnKey
 from glue.errors import ConfigError
 from glue.hub.config import check_url
 from glue.system import network
-from glue.wire.limits import MAX_BODY, MAX_HEADER
-from glue.wire.messages import Message
+from glue.wire.messages import MAX_BODY, MAX_HEADER, Message
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context

@@ -184,7 +184,6 @@ def _whole(number: Any, bits: int, what: str) -> int:
 
 
 def _given(value: _T, kind: type[_T]) -> _T:
-    """Return `value`, after checking its type."""
     if not isinstance(value, kind):
         raise LocalProtocolError(f"expected a value of type {kind.__name__}, not {value!r:.80}")
     return value

@@ -24,8 +24,7 @@ from glue.errors import ConfigError, SimulatorError
 from glue.global_seeds import seed_globals
 from glue.gym.codec import Codec
 from glue.gym.spaces import task_spec
-from glue.options import Option
-from glue.plugins.keywords import keywords, with_options
+from glue.options import Option, keywords, with_options
 from glue.plugins.loading import import_user_module
 from glue.roles import Environment
 from glue.types import Action, Observation, Step

@@ -30,8 +30,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from glue.errors import ConfigError
-from glue.wire.limits import MAX_BODY, MAX_NAME
-from glue.wire.messages import Role
+from glue.wire.messages import MAX_BODY, MAX_NAME, Role
 
 DEFAULT_HUB: Final = "tcp://127.0.0.1:4097"
 """The default address of a hub. RL-Glue's own port, 4096, is left to original RL-Glue programs."""

@@ -85,7 +85,6 @@ class Observers:
                 self._tell(observer, Kind.OBSERVED_MESSAGE, (message,), body)
 
     def _show(self, kind: Kind, scalars: tuple[Value, ...], *bodies: bytes) -> None:
-        """Show a moment to the observers that want one."""
         for observer in self._all.values():
             if not observer.wanted:
                 observer.number += 1

@@ -447,7 +447,6 @@ class Session:
             self._fail(ErrorCode.UNSUPPORTED, unsupported(kind, role, player.name))
 
     def _fail(self, code: ErrorCode, text: str) -> None:
-        """End the current verb with an error."""
         self._engine.abort()
         self._outstanding = None
         self._answer_experiment(Message(Kind.ERROR, self.name, self._request_seq, (str(code), clip(text))))

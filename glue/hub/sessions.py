@@ -245,7 +245,6 @@ class Sessions:
         return None
 
     def _welcome(self, channel: Channel, message: Message, resumed: bool) -> None:
-        """Answer a HELLO whose sender is admitted."""
         config = self._config
         welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.timeout, config.max_body)
         self.send(channel, Message(Kind.WELCOME, message.session, message.seq, welcome))

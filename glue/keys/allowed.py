@@ -22,11 +22,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from glue.console import did_you_mean
 from glue.errors import ConfigError
 from glue.hub.config import Keys, Permit, check_session
 from glue.keys.certificates import PUBLIC, SECRET, KeyPair, read_pair, read_public
 from glue.keys.files import check_directory, read_own
-from glue.suggestions import did_you_mean
 from glue.wire.messages import Role
 
 HUB: Final = "hub"

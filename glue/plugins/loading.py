@@ -1,4 +1,4 @@
-"""Find an agent or environment by name.
+"""Find an agent or environment by name, and the model of an environment; agents that have learned before.
 
 A name has one of four forms: an installed entry point (group `glue.agents` or `glue.environments`),
 `module:Class`, `path/to/file.py:Class`, or `adapter:NAME` for an object of another library, such as
@@ -26,21 +26,25 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
-from glue.console import show_failure
+from glue.console import did_you_mean, show_failure
 from glue.errors import ConfigError, GlueError, PeerFailed, described
+from glue.files import read_regular
 from glue.installed import entry_points
 from glue.options import Value, build
-from glue.suggestions import did_you_mean
+from glue.roles import Agent, SaveableAgent, completed, offers
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from glue.roles import Agent, Environment
+    from glue.roles import Environment
 
 PACKAGES: Final = ("glue", "env_server", "agents", "experiment_runner")
 """The packages of this program."""
 
+
+_MAX_LEARNED: Final = 2**30
+"""Bytes of the largest file of a learned state."""
 
 _ADAPTERS: Final = {Role.AGENT: "glue.agent_adapters", Role.ENVIRONMENT: "glue.environment_adapters"}
 _GYMNASIUM_ID: Final = re.compile(r"([\w.-]+/)?[\w.-]+-v\d+")
@@ -87,6 +91,54 @@ def construct(factory: type, options: Mapping[str, Value]) -> Any:
         raise PeerFailed(f"{factory.__name__} raised in its constructor: {described(error)}") from None
     take_seeds(player)
     return player
+
+
+def find_model(name: str) -> Any:
+    """Return the model of the environment called `name`: a module of compiled functions.
+
+    Raises:
+        ConfigError: no installed package offers one.
+    """
+    for point in entry_points("glue.models").select(name=name):
+        return point.load()
+    raise ConfigError(
+        f"no model of {name} is installed: agents that plan take it from the package of the environment, "
+        "by its entry-point group glue.models"
+    )
+
+
+class Trained:
+    """`agent`, with `learned` loaded after every init; otherwise unchanged.
+
+    Args:
+        agent: an agent with the capability `save`.
+        learned: the result of `agent_save` of the same class.
+    """
+
+    def __init__(self, agent: Any, learned: bytes) -> None:
+        self.__wrapped__: Any = completed(agent, Agent)
+        self._learned = learned
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__wrapped__, name)
+
+    def agent_init(self, task_spec: str) -> None:
+        self.__wrapped__.agent_init(task_spec)
+        self.__wrapped__.agent_load(self._learned)
+
+
+def load_trained(agent: Any, path: Path) -> Trained:
+    """Return `agent` with the state in the file at `path`, as `glue-results agent` writes it.
+
+    Raises:
+        ConfigError: the agent cannot load, or the file cannot be read.
+    """
+    if not offers(agent, SaveableAgent):
+        raise ConfigError(f"{type(agent).__name__} cannot load what was learned: it has no agent_load")
+    try:
+        return Trained(agent, read_regular(path, _MAX_LEARNED, follow=True))
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from error
 
 
 def without_seed(role: Role, label: str, factory: type) -> str | None:

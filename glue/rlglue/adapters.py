@@ -22,8 +22,7 @@ from typing import Annotated, Any, ClassVar, Final, TypeVar
 import numpy as np
 
 from glue.errors import ConfigError, LocalProtocolError
-from glue.options import Option
-from glue.plugins.keywords import keywords, with_options
+from glue.options import Option, keywords, with_options
 from glue.roles import Agent, Environment
 from glue.types import AbstractType, Action, Observation, Step, arrays_of
 

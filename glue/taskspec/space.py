@@ -195,6 +195,14 @@ class Space:
             return f"double {index} is {value.doubles[index]}, not in {self.doubles[index]}"
         return None
 
+    def still(self) -> tuple[list[int], list[float], bytes]:
+        """Return ints, doubles and chars of standing still: zero, or the legal number nearest to it.
+
+        They are empty if the space is not stated.
+        """
+        ints = [int(number) for number in _nearest(self.ints)]
+        return ints, _nearest(self.doubles), b" " * self.chars
+
     def sample(
         self, generator: np.random.Generator
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64], bytes]:
@@ -231,6 +239,11 @@ class Space:
         if self.chars:
             parts += ["CHARCOUNT", str(self.chars)]
         return " ".join(parts)
+
+
+def _nearest(ranges: Ranges) -> list[float]:
+    """Return of each range the number that is nearest to zero."""
+    return [min(max(0, low), high) for low, high in (range_.ends for range_ in ranges)]
 
 
 def _is_double(bound: float) -> bool:

@@ -16,8 +16,20 @@ import msgpack
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.types import CUT_OFF, body_size
-from glue.wire.limits import MAX_BODY, MAX_HEADER, MAX_NAME
-from glue.wire.messages import CALLS, CONTROL, OBSERVING, Body, Kind, Message, Scalar, Shape, Value
+from glue.wire.messages import (
+    CALLS,
+    CONTROL,
+    MAX_BODY,
+    MAX_HEADER,
+    MAX_NAME,
+    OBSERVING,
+    Body,
+    Kind,
+    Message,
+    Scalar,
+    Shape,
+    Value,
+)
 
 _MAX_NOTE: Final = 1000
 """Length in bytes to which a text for people is cut; with the longest session name it still fits a header."""

@@ -33,8 +33,7 @@ from typing import Final
 
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.system import chance
-from glue.wire.frames import LONG, LONG_HEAD, MAX_SHORT, MORE, SHORT_HEAD
-from glue.wire.zmtp import HandshakeRefused
+from glue.wire.zmtp import LONG, LONG_HEAD, MAX_SHORT, MORE, SHORT_HEAD, HandshakeRefused
 
 try:
     from nacl._sodium import ffi, lib
@@ -87,8 +86,11 @@ _NONCE: Final = struct.Struct(">Q")
 _SHORT, _LONG = struct.Struct(">BB8s8s"), struct.Struct(">BQ8s8s")
 """A MESSAGE up to its box: the head of the frame, its name, and its nonce."""
 
-_SHORT_UNSEALED, _LONG_UNSEALED = struct.Struct(">BB8s8s16xB"), struct.Struct(">BQ8s8s16xB")
+_SHORT_UNSEALED, _LONG_UNSEALED = struct.Struct(">BB8sQ16xB"), struct.Struct(">BQ8sQ16xB")
 """The same, with room for the authenticator of the box, and the flags that it begins with."""
+
+_BOX_NONCE: Final = struct.Struct(">16sQ")
+"""The nonce of a box: a prefix, and the number that its message has in its place."""
 
 _seal: Final = lib.crypto_box_easy_afternm
 _open: Final = lib.crypto_box_open_easy_afternm
@@ -101,7 +103,6 @@ def public_key(secret: bytes) -> bytes:
 
 
 def _short_term_pair() -> tuple[bytes, bytes]:
-    """Return a new public key and its secret key."""
     secret = chance.random_bytes(_KEY)
     return public_key(secret), secret
 
@@ -202,25 +203,27 @@ class _Curve:
         """Return the bytes of a message of at least one frame, the last of which has these flags."""
         parts: list[bytes] = []
         boxes: list[tuple[int, int, bytes]] = []  # where each begins, the size of its content, and its nonce
-        at, left = 0, len(frames)
+        at, left, sent = 0, len(frames), self._sent
         for frame in frames:
             left -= 1
-            nonce, size = self._next_nonce(), len(frame) + _LEAST_MESSAGE
-            flags_inside = MORE if left else flags
+            sent += 1
+            size = len(frame) + _LEAST_MESSAGE
+            inside = MORE if left else flags
             if size <= MAX_SHORT:
-                unsealed = _SHORT_UNSEALED.pack(0, size, _MESSAGE, nonce, flags_inside)
+                unsealed = _SHORT_UNSEALED.pack(0, size, _MESSAGE, sent, inside)
                 at += _SHORT.size
             else:
-                unsealed = _LONG_UNSEALED.pack(LONG, size, _MESSAGE, nonce, flags_inside)
+                unsealed = _LONG_UNSEALED.pack(LONG, size, _MESSAGE, sent, inside)
                 at += _LONG.size
             parts += unsealed, frame
-            boxes.append((at, 1 + len(frame), self._prefix + nonce))
+            boxes.append((at, 1 + len(frame), _BOX_NONCE.pack(self._prefix, sent)))
             at += size - _BOX_AT
+        self._sent = sent
         # Sealed in place: of a large message, the only copy is the one that is sent.
         message = bytearray().join(parts)
         start, key = ffi.from_buffer(message), self._key
         for at, size, nonce in boxes:
-            _seal(start + at, start + at + _MAC, size, nonce, key)
+            _seal(start + at, start + (at + _MAC), size, nonce, key)
         return message
 
     def _count(self, nonce: bytes) -> None:

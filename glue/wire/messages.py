@@ -18,6 +18,15 @@ from typing import Final, NamedTuple, final
 
 PROTOCOL_VERSION: Final = 1
 
+MAX_HEADER: Final = 4096
+"""Maximum size of a header, in bytes. The longest legal header, that of a HELLO, is far smaller."""
+
+MAX_BODY: Final = 16 * 2**20
+"""Maximum size of a body, in bytes: room for RL-Glue's million ints, million doubles and million chars."""
+
+MAX_NAME: Final = 255
+"""Maximum length of a session or peer name, in characters."""
+
 Type = type  # An alias, since `Scalar` has a field `type`.
 Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, ...]
 

@@ -16,8 +16,8 @@ from typing import Any, Final, NamedTuple
 import msgpack
 
 from glue.types import CUT_OFF, PREFIX_SIZE
-from glue.wire.frames import LONG, MAX_SHORT, MORE, SHORT_HEAD
 from glue.wire.messages import CALLS, Body, Kind, Message, Shape, Value
+from glue.wire.zmtp import LONG, MAX_SHORT, MORE, SHORT_HEAD
 
 STEPS: Final = frozenset({Kind.ENV_STEP, Kind.AGENT_STEP})
 """The calls of a step."""

@@ -19,8 +19,7 @@ from collections.abc import Sequence
 from glue.errors import RemoteProtocolError
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
-from glue.wire.limits import MAX_BODY
-from glue.wire.messages import Kind, Message
+from glue.wire.messages import MAX_BODY, Kind, Message
 from glue.wire.steps import STEPS, StepFormat, StepReader, lead_of, step_formats
 
 

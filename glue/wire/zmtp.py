@@ -21,10 +21,29 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 from glue.errors import RemoteProtocolError
-from glue.wire.frames import COMMAND, LONG, LONG_HEAD, MORE, SHORT_HEAD, head
 
 DEALER: Final = b"DEALER"
 ROUTER: Final = b"ROUTER"
+
+MORE: Final = 1
+"""Flag of a frame that is not the last of its message."""
+
+LONG: Final = 2
+"""Flag of a frame whose size has eight bytes."""
+
+COMMAND: Final = 4
+"""Flag of a command."""
+
+MAX_SHORT: Final = 255
+"""Largest size that is written in one byte."""
+
+SHORT_HEAD: Final = struct.Struct(">BB")
+LONG_HEAD: Final = struct.Struct(">BQ")
+
+
+def head(flags: int, size: int) -> bytes:
+    """Return the head of a frame of `size` bytes; the flag `LONG` is set if it is needed."""
+    return SHORT_HEAD.pack(flags, size) if size <= MAX_SHORT else LONG_HEAD.pack(flags | LONG, size)
 
 
 def _greeting(mechanism: bytes, as_server: int) -> bytes:

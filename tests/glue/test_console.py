@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glue.console import cell, for_terminal, one_line, printable, say
+from glue.console import cell, did_you_mean, for_terminal, one_line, printable, say
 
 HOSTILE = "\x1b[2Ja\r\u202eb\nError: \x9bforged\udcff\u2028"
 
@@ -38,3 +38,16 @@ def test_lines_have_a_bound_and_keep_their_end() -> None:
 def test_no_line_of_others_looks_like_one_of_ours(capsys: pytest.CaptureFixture[str]) -> None:
     say(f"Error: no run in {HOSTILE}")
     assert capsys.readouterr().err == "Error: no run in ?[2Ja??b\n  Error: ?forged??\n"
+
+
+def test_near_misses_come_first() -> None:
+    assert did_you_mean("minez", ["mario", "mines", "skeleton"]) == "; did you mean mines?"
+    assert did_you_mean("tile", ["tiles", "tiless", "x"]) == "; did you mean tiles or tiless?"
+    for typo in ("srasa", "sasra", "sarsaa", "sara", "asrsa"):
+        assert did_you_mean(typo, ["random", "sarsa", "soar-mines"]) == "; did you mean sarsa?"
+
+
+def test_without_a_near_miss_the_choices_are_listed_up_to_a_limit() -> None:
+    assert did_you_mean("?", ["mines", "mario"]) == "; choose from mines, mario"
+    assert did_you_mean("?", []) == ""
+    assert did_you_mean("?", map(str, range(1000))).endswith("28, 29, ...")

@@ -61,6 +61,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "agents/mohan2010": ("agents", "agents/mario"),
     "agents/soar": ("agents/mario",),
     "agents/planner": ("agents/mario", "glue/compiled", "glue/plugins"),
+    "agents/language": ("glue/__init__",),
     "agents/cli": ("glue/cli",),
     # Players are found by their entry points: the framework knows no environment and no agent.
     "experiment_runner": (),

@@ -47,9 +47,11 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "stable_baselines3": ["glue/gym/sb3.py"],
     "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*"],
+    **dict.fromkeys(("anyio", "mcp", "mcp_types"), ("agents/language/server.py",)),
+    "http.client": ["agents/language/endpoint.py"],
     "openenv": ["glue/openenv/*"],
     "pydantic": ["glue/openenv/serving.py"],
-    "uvicorn": ["glue/openenv/serving.py", "experiment_runner/view/server.py"],
+    "uvicorn": ["agents/language/server.py", "glue/openenv/serving.py", "experiment_runner/view/server.py"],
     # Peers and files are not trusted.
     **dict.fromkeys(("pickle", "marshal", "shelve", "eval()", "exec()", "compile()"), NOWHERE),
     # Every random choice comes from a generator that was handed over.
@@ -74,6 +76,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         ("os.environ", "os.environb", "os.getenv"),
         (
             "*/cli/*",
+            "agents/language/chat.py",  # the key of an endpoint, which no record may hold
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
             "experiment_runner/competition/starters.py",  # passes it on
@@ -185,7 +188,7 @@ class Missing:
     def find_spec(self, name, path=None, target=None):
         if name.partition('.')[0] in {
             'matplotlib', 'PIL', 'scipy', 'optuna', 'pyarrow', 'gymnasium', 'nacl', 'ray', 'pandas', 'docker',
-            'polars', 'minari', 'rlglue',
+            'polars', 'minari', 'rlglue', 'mcp',
             'requests', 'starlette', 'uvicorn',
         }:
             raise ModuleNotFoundError(name)

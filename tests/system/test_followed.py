@@ -60,6 +60,13 @@ def test_tutorial(page: str, made: str, tmp_path: Path) -> None:
     assert (tmp_path / made).stat().st_size > 0
 
 
+def test_a_stand_in_for_a_language_model_reaches_the_goal(tmp_path: Path) -> None:
+    board = follow(text_of("language-models"), tmp_path)
+    assert re.search(r"^\s*1\s+model\b", board, re.MULTILINE), board
+    with Results.open(tmp_path / "runs/model") as results:
+        assert [episode.episode_return for episode in results.episodes("chat/mines/0")] == [-11.0] * 2
+
+
 def test_recordings_become_datasets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("pyarrow", reason="needs pyarrow: pip install 'glue-rl[parquet]'")
     pytest.importorskip("minari", reason="needs Minari: pip install 'glue-rl[minari]'")

@@ -12,12 +12,28 @@ import pytest
 from experiment_runner.store.results import Results
 from tests.pages import DOCS, follow
 from tests.system.runs import contents, run
-from tests.system.test_resume_kills import SEARCH
 from tests.system.test_workers import FAULTY, MINES, SARSA
 
 pytest.importorskip("ray", reason="needs the extra `ray`; .ci/run installs it")
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
+
+
+SEARCH = """
+episodes = 60
+max_steps = 30
+seed = 5
+[environments.mines]
+random_start = true
+[agents.sarsa]
+[tune]
+configurations = 5
+trials = 2
+final = 3
+prune = true
+[tune.agents.sarsa]
+step_size = {low = 0.01, high = 1.0, log = true}
+"""
 
 
 @pytest.fixture(scope="module")

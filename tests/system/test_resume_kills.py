@@ -29,21 +29,6 @@ PLANS = {
         *("--max-steps", 30, "--trials", 4, "--seed", 12),
     ),
 }
-SEARCH = """
-episodes = 60
-max_steps = 30
-seed = 5
-[environments.mines]
-random_start = true
-[agents.sarsa]
-[tune]
-configurations = 5
-trials = 2
-final = 3
-prune = true
-[tune.agents.sarsa]
-step_size = {low = 0.01, high = 1.0, log = true}
-"""
 KILLS = size(4, 24)
 VICTIMS = (
     "experiment",
@@ -86,11 +71,11 @@ def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Ran
 
 def kill_experiment(experiment: subprocess.Popen[str]) -> None:
     """Kill the experiment, and check that no process outlives it."""
-    everybody = children(experiment.pid)
+    processes = children(experiment.pid)
     experiment.kill()
     experiment.communicate()
     assert experiment.returncode == -signal.SIGKILL, "finished too early"
-    wait_until(lambda: not any(map(alive, everybody)), "the end of its processes")
+    wait_until(lambda: not any(map(alive, processes)), "the end of its processes")
 
 
 def wait_for_an_episode(experiment: subprocess.Popen[str], directory: Path) -> None:
@@ -139,26 +124,3 @@ def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tm
         events = {event.kind for event in results.events()}
         assert {"resume", "rewind", "lost"} <= events  # the experiment and workers were killed in the middle
         assert results.voids()  # and so were players
-
-
-@pytest.mark.proof
-def test_search_that_is_killed_comes_to_the_same_choice(tmp_path: Path) -> None:
-    (tmp_path / "plan.toml").write_text(SEARCH)
-    command = ("--plan", "plan.toml", "--in-process", "--workers", 2)
-    undisturbed = start(*command, "--out", "undisturbed", cwd=tmp_path)
-    _, errors = undisturbed.communicate(timeout=200)
-    assert undisturbed.returncode == 0, errors
-    chance = random.Random(6)
-    killed = 0
-    while True:
-        searching = start(*command, "--out", "killed", cwd=tmp_path)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            seconds = chance.uniform(0.8, 2.5) if killed < KILLS // 2 else 200
-            _, errors = searching.communicate(timeout=seconds)
-            break
-        kill_experiment(searching)
-        killed += 1
-    assert killed
-    assert searching.returncode == 0, errors
-    for part in ("search", "result"):
-        assert contents(tmp_path / "killed" / part) == contents(tmp_path / "undisturbed" / part)

@@ -112,7 +112,7 @@ CRASHES = {
 }
 
 
-def test_trial_that_crashes_is_recorded_and_the_rest_go_on(folder: Path) -> None:
+def test_trial_that_crashes_is_recorded_and_the_rest_continue(folder: Path) -> None:
     agents = [
         f'[agents.{how or "good"}]\nclass = "faulty.py:Faulty"\nhow = "{how}"' for how in ("", *CRASHES)
     ]
@@ -164,7 +164,7 @@ def test_player_that_is_killed_at_one_point_again_and_again_is_given_up(folder: 
     assert failures(folder / "run") == {"Faulty/mines/0": why}
 
 
-def test_player_that_is_killed_at_one_point_after_another_goes_on(folder: Path) -> None:
+def test_player_that_is_killed_at_one_point_after_another_continues(folder: Path) -> None:
     plan = (*MINES, "--agent", "faulty.py:Mortal", "--episodes", 3)
     assert run(*plan, "--in-process", "--out", "undisturbed", cwd=folder).returncode == 0
     options = ("--agent-option", "how=SIGKILL", "--agent-option", "once=mark")
@@ -217,18 +217,18 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
         (signal.SIGTERM, 143, ("--workers", 2)),
     ],
 )
-def test_interrupted_run_leaves_nobody_and_goes_on(
+def test_interrupted_run_leaves_no_process_and_continues(
     slowed: Path, how: tuple[object, ...], number: signal.Signals, code: int, undisturbed: Contents
 ) -> None:
     with running(*INTERRUPTED, *how, "--checkpoint-every", 1000, cwd=slowed) as terminal:
-        everybody = children(terminal.process.pid)
+        processes = children(terminal.process.pid)
         terminal.send_signal(number)  # players and workers have process groups of their own
         assert terminal.end() == code, terminal.lines
         errors = "\n".join(terminal.lines)
     assert "continue with: glue-experiment --resume run" in errors
     assert errors.count("interrupted") == 1, errors
     assert "Traceback" not in errors
-    assert not any(map(alive, everybody))
+    assert not any(map(alive, processes))
     (slowed / "there").unlink()
     assert run("--resume", "run", "--in-process", "--trust", cwd=slowed).returncode == 0
     assert contents(slowed / "run") == undisturbed

@@ -22,7 +22,7 @@ from glue.compiled.jit import announce_compilation, entry, jit
 from glue.errors import ConfigError, SimulatorError
 from glue.roles import Environment
 from glue.types import PREFIX_SIZE, Action, Observation, Step
-from glue.wire.limits import MAX_BODY
+from glue.wire.messages import MAX_BODY
 
 _ACTION_INTS: Final = 3
 _CHOICES: Final = np.array([3, 2, 2])

@@ -27,7 +27,7 @@ def number(value: float) -> str:
     return f"{value:,.2f}"
 
 
-def told(one: Act) -> str:
+def line_of(one: Act) -> str:
     """Return an act of the organiser as one line."""
     did = {ADD: "added", EXCLUDE: "excluded", RERUN: "played again"}.get(one.act, one.act)
     return f"{did}: {one_line(one.subject)}, {one_line(one.time)}: {one_line(one.reason)}"
@@ -53,7 +53,7 @@ def as_text(board: Standings, width: int | None = None) -> str:
         for standing in board.entrants
         for forfeit in standing.forfeits
     ]
-    notes += [told(one) for one in board.acts]
+    notes += [line_of(one) for one in board.acts]
     notes += [f"{one.name} is {one_line(one.player)}, {one.id}" for one in board.entrants if one.id]
     if notes:
         parts.append("\n".join(notes))

@@ -18,7 +18,7 @@ from glue.installed import entry_points
 from glue.options import build
 from glue.plugins.loading import find
 from glue.roles import Environment, SeedableEnvironment, offers
-from glue.taskspec import Ranges, parse_task_spec
+from glue.taskspec import parse_task_spec
 from glue.types import Action, step_of
 from glue.wire.messages import Role
 
@@ -101,16 +101,7 @@ def passive_action(task_spec: str) -> Action:
     Raises:
         TaskSpecError: the task spec does not parse.
     """
-    space = parse_task_spec(task_spec).actions
-    return Action(
-        ints=[int(number) for number in _nearest(space.ints)],
-        doubles=_nearest(space.doubles),
-        chars=b" " * space.chars,
-    )
-
-
-def _nearest(ranges: Ranges) -> list[float]:
-    return [min(max(0, low), high) for low, high in (range_.ends for range_ in ranges)]
+    return Action(*parse_task_spec(task_spec).actions.still())
 
 
 def passive_score(spec: TrialSpec, steps: int) -> float:

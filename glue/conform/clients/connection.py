@@ -12,7 +12,7 @@ from glue.conform.rules import Broken
 from glue.errors import RemoteProtocolError
 from glue.system import clock, network
 from glue.wire import zmtp
-from glue.wire.limits import MAX_BODY, MAX_HEADER
+from glue.wire.messages import MAX_BODY, MAX_HEADER
 
 _CHUNK: Final = 65_536
 _MAX_FRAME: Final = 2 * MAX_BODY + MAX_HEADER

@@ -17,8 +17,18 @@ from glue.hub.sessions import INSTANCE_SIZE
 from glue.system import chance, clock
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.limits import MAX_BODY, MAX_HEADER
-from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
+from glue.wire.messages import (
+    CALLS,
+    MAX_BODY,
+    MAX_HEADER,
+    PROTOCOL_VERSION,
+    ErrorCode,
+    Event,
+    Kind,
+    Message,
+    Role,
+    Value,
+)
 
 TASK_SPEC: Final = "a task for a hub, with ümlauts"
 

@@ -26,8 +26,7 @@ from glue.sockets.options import limit_silence
 from glue.system import clock, network
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
-from glue.wire.limits import MAX_HEADER
-from glue.wire.messages import OBSERVING, Kind, Message, Role
+from glue.wire.messages import MAX_HEADER, OBSERVING, Kind, Message, Role
 from glue.wire.steps import STEPS
 from glue.wire.stream import Malformed, Stream
 

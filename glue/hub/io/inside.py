@@ -12,12 +12,15 @@ from __future__ import annotations
 
 import platform
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 from glue.client.answers import ServedPlayer
+from glue.client.experiment import connect_over
 from glue.console import show_failure
-from glue.errors import GlueError, described
-from glue.hub.config import DEFAULT_SESSION
+from glue.engine.experiment import Experiment
+from glue.errors import ConfigError, GlueError, described
+from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.hub.io.server import Hub
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.roles import AgentLike, EnvironmentLike
@@ -190,3 +193,41 @@ class _InsidePlayer:
     def admits(self, role: Role, session: str) -> bool:
         """Return True: the process that runs a hub may take any role."""
         return True
+
+
+@contextmanager
+def host(
+    agent: AgentLike | None = None,
+    environment: EnvironmentLike | None = None,
+    *,
+    bind: str = DEFAULT_HUB,
+    session: str = DEFAULT_SESSION,
+) -> Iterator[Experiment]:
+    """Run a hub in this process, with these players as objects; yield its experiment.
+
+    A player that is not given joins from outside, written in any language; verbs wait for it:
+
+        with glue.host(environment=MyEnvironment()) as experiment:   # elsewhere: glue-agent sarsa
+            experiment.rl_init(seed=1)
+            experiment.rl_episode(max_steps=1000)
+
+    A step is then one round trip between processes. With both players here, `glue.local` needs no hub at all.
+
+    Args:
+        agent: the agent; None to wait for one.
+        environment: the environment; None to wait for one.
+        bind: address at which players join, `tcp://HOST:PORT` or `ipc://PATH`; only from this machine.
+        session: the session's name.
+
+    Raises:
+        ConfigError: the address is in use or can be reached from other machines, or no player is given.
+        PeerFailed: a player lacks a method of its role.
+    """
+    given = ((Role.AGENT, agent), (Role.ENVIRONMENT, environment))
+    players = {role: player for role, player in given if player is not None}
+    if not players:
+        raise ConfigError("give an agent or an environment; if both join from outside, use glue.connect")
+    with Hub(HubConfig(bind=(bind,))) as hub:
+        transport = InsideTransport(hub, players, session)
+        with hub.in_background(), connect_over(transport, session) as experiment:
+            yield experiment

@@ -9,18 +9,23 @@ peer. Other sources of messages, such as the gateway for RL-Glue's original prog
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from queue import SimpleQueue
+from types import FrameType
 from typing import Final
 
 from glue.closing import Closing
-from glue.errors import GlueError
+from glue.errors import ConfigError, GlueError
 from glue.hub.config import HubConfig, Keys
 from glue.hub.io.channels import Channels
 from glue.hub.io.listener import OpenAddress, open_address
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
 from glue.hub.sessions import Sessions
+from glue.keys.allowed import read_keys
 from glue.system import clock as system_clock
 from glue.system import threads
 
@@ -144,3 +149,32 @@ class Hub(Closing):
         self.sessions.close(self.loop.stopping or "the hub failed")
         for close in self._closers:
             close()
+
+
+@contextmanager
+def renewed_on_hangup(hub: Hub, directory: Path) -> Iterator[None]:
+    """Make the hub read its keys again whenever this process receives SIGHUP. For the main thread.
+
+    A separate thread reads the keys: a slow disk must not stop the sessions. If they cannot be read, the old
+    keys stay in use.
+    """
+    asked: SimpleQueue[bool] = SimpleQueue()  # its `put` is safe in a signal handler
+
+    def read() -> None:
+        while asked.get():
+            try:
+                hub.renew_keys(read_keys(directory))
+            except ConfigError as error:
+                reason = " ".join(str(error).split())
+                hub.log.error(f"the keys stay as they were: {reason}")
+
+    def renew(number: int, frame: FrameType | None) -> None:
+        asked.put(True)
+
+    threads.Thread(target=read, name="keys", daemon=True).start()
+    before = signal.signal(signal.SIGHUP, renew)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)
+        asked.put(False)

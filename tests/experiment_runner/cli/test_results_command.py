@@ -229,7 +229,7 @@ def test_remove_asks_first_and_refuses_a_run_under_way(run: Path, tmp_path: Path
         call("remove", tmp_path, "--yes")
 
 
-def test_export_to_csv(run: Path) -> None:
+def test_export_has_a_row_for_each_episode_in_each_format(run: Path, tmp_path: Path) -> None:
     text = call("export", run)
     assert text.splitlines()[0].startswith("trial,episode,return,steps,terminal,wall_time,seed,agent,")
     shown = {True: "true", False: "false"}
@@ -237,19 +237,10 @@ def test_export_to_csv(run: Path) -> None:
         assert {key: cell for key, cell in row.items() if cell} == {
             key: shown[cell] if isinstance(cell, bool) else str(cell) for key, cell in expected.items()
         }
-
-
-def test_export_to_json(run: Path) -> None:
     assert json.loads(call("export", run, "--format", "json")) == EXPECTED
-
-
-def test_export_to_parquet(run: Path, tmp_path: Path) -> None:
-    call("export", run, "--format", "parquet", "--out", tmp_path / "run.parquet")
-    rows = parquet.read_table(tmp_path / "run.parquet").to_pylist()
+    call("export", run, "--format", "parquet", "--out", tmp_path / "out")
+    rows = parquet.read_table(tmp_path / "out").to_pylist()
     assert [{key: cell for key, cell in row.items() if cell is not None} for row in rows] == EXPECTED
-
-
-def test_export_to_a_file_is_what_goes_to_the_terminal(run: Path, tmp_path: Path) -> None:
     for kind in ("csv", "json"):
         assert call("export", run, "--format", kind, "--out", tmp_path / "out") == ""
         assert (tmp_path / "out").read_text() == call("export", run, "--format", kind)
@@ -428,12 +419,9 @@ def test_agent_is_what_the_newest_checkpoint_of_the_trial_has(run: Path, tmp_pat
     assert (done.exit_code, done.stdout) == (0, "")
     assert done.stderr == f"wrote {out}: the agent of {TRIALS[3]} after 2 episodes\n"
     assert out.read_bytes() == b"2"
-
-
-def test_agent_of_the_only_trial_needs_no_name(tmp_path: Path) -> None:
-    make(tmp_path / "run", [3], Plan(episodes=4, agents=PLAN.agents[:1]))
-    call("agent", tmp_path / "run", "--out", tmp_path / "some.agent")
-    assert (tmp_path / "some.agent").read_bytes() == b"2"
+    only = make(tmp_path / "only", [3], Plan(episodes=4, agents=PLAN.agents[:1]))
+    call("agent", only, "--out", tmp_path / "only.agent")
+    assert (tmp_path / "only.agent").read_bytes() == b"2"
 
 
 def test_agent_that_is_not_there_is_explained(run: Path, tmp_path: Path) -> None:

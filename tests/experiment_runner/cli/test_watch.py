@@ -18,7 +18,7 @@ from experiment_runner.cli.watch import play
 from glue.cli.screen import Marks, TerminalScreen, read_marks, renderer
 from glue.engine.local import local
 from glue.errors import ConfigError
-from glue.plugins.trained import Trained
+from glue.plugins.loading import Trained
 from glue.roles import AgentLike, Environment
 from glue.types import Observation
 from tests.forked import run

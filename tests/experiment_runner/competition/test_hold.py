@@ -34,73 +34,12 @@ from glue.errors import ExperimentError, GlueError
 from glue.keys.certificates import write_pair
 from glue.trajectory import Ending, TrajectoryReader
 from tests import forked
+from tests.experiment_runner.competition.contest import ENTRANT, FILE, compete, write
 from tests.experiment_runner.view.pages import Inside
 from tests.forked import BIN
 from tests.proof import size
 
 pytestmark = pytest.mark.slow
-
-AGENT = """\
-import os, sys
-from contextlib import suppress
-from glue import Action, serve_agent
-
-class Walker:
-    steps = ends = 0
-    def agent_init(self, task_spec): self.mines = "(0 3)" in task_spec
-    def agent_start(self, observation): return self.act()
-    def agent_step(self, reward, observation): return self.act()
-    def agent_end(self, reward):
-        self.ends += 1
-        if self.ends == 2 and not self.mines:
-            if kind == "raise": babble()
-            if kind != "walk": os._exit(8)
-    def act(self):
-        self.steps += 1
-        if self.steps == 25 and self.mines:
-            if kind == "crash": os._exit(7)
-            if kind == "raise": raise ValueError("<script>alert(1)</script>")
-        return Action(ints=[(1, 1, 0, 1)[self.steps % 4]])
-
-def babble():
-    for descriptor in range(3, 100):
-        with suppress(OSError): os.write(descriptor, b"garbage" * 100)
-
-kind = sys.argv[1]
-print("I am", kind, sorted(name for name in os.environ if name.startswith(("GLUE", "SECRET"))), flush=True)
-print("x" * 100_000, flush=True)
-serve_agent(Walker(), os.environ["GLUE_HUB"], os.environ["GLUE_SESSION"])
-"""
-
-ENTRANT = f'[entrants.{{name}}]\ncommand = ["{sys.executable}", "agent.py", "{{kind}}"]\n'
-FILE = """\
-name = "<b>spring</b>"
-trials = 1
-seed_env = "SECRET"
-[limits]
-start_seconds = 300
-log = "2k"
-[tasks.mines]
-env = "mines"
-options = { random_start = true }
-steps = 200
-[tasks.walk]
-env = "skeleton"
-episodes = 4
-""" + "".join(ENTRANT.format(name=name, kind=name) for name in ("walk", "crash", "raise"))
-
-
-def compete(folder: Path, *arguments: str, secret: str = "xyzzy") -> subprocess.CompletedProcess[str]:
-    """Run `glue-compete` in a folder."""
-    return forked.run(
-        "glue-compete", *arguments, cwd=folder, env={**os.environ, "SECRET": secret}, timeout=200
-    )
-
-
-def write(folder: Path, text: str = FILE) -> None:
-    """Write a competition and the program of its entrants into a folder."""
-    (folder / "agent.py").write_text(AGENT)
-    (folder / "spring.toml").write_text(text)
 
 
 def update(run: Path, statement: str, *values: object) -> int:
@@ -467,10 +406,9 @@ def test_what_cannot_be_done_to_an_entrant_or_a_trial_is_said(held: Path) -> Non
             act()
 
 
-def test_acts_of_the_organiser_are_sealed_and_shown_and_delete_nothing(held: Path, run: Path) -> None:
+def test_acts_of_the_organiser_are_sealed_and_shown_and_delete_nothing(run: Path) -> None:
     folder = run.parent
-    for name in ("agent.py", "spring.toml"):
-        shutil.copy(held / name, folder)
+    write(folder)
     before = {path: path.read_bytes() for path in (run / "records").rglob("*.traj")}
 
     def act(*arguments: str, reason: str = "a mail of 3 May") -> str:

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import subprocess
 import sys
-import threading
-from collections.abc import Callable
-from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
-from experiment_runner.competition.match import Forfeited, Match, play
-from experiment_runner.competition.settings import Entrant, Gate, Limits
-from experiment_runner.competition.starters import starter_for
-from experiment_runner.competition.trials import trials
+from experiment_runner.competition.settings import Entrant, Gate
+from experiment_runner.competition.starters import gate_for
 from glue.client.libzmq import new_pair
-from glue.client.players import serve_agent
-from glue.errors import GlueError
-from glue.keys.certificates import write_pair
+from glue.errors import ConfigError
+from glue.hub.config import Bind, Keys, Permit
+from glue.keys.certificates import encode, write_pair
+from glue.wire.messages import Role
 from tests import forked
-from tests.experiment_runner.competition.players import SECRET, Walker, competition
 
 _FILE = """\
 name = "spring"
@@ -91,59 +85,17 @@ def test_one_who_joins_with_a_key_gets_to_the_verified_board(tmp_path: Path) -> 
     assert carol["id"] in (tmp_path / "carol.key").read_text()
 
 
-def reports_of(folder: Path, program: Callable[[str, Path], object]) -> list[Any]:
-    """Let a program join Carol's trial at an address of this machine; time is over when it has tried."""
-    write_pair(folder / "keys", "hub", new_pair())
-    write_pair(folder, "carol", new_pair())
-    held = competition("carol", limits=Limits(start_seconds=1.0))
-    entrant = Entrant("carol", key=folder / "carol.key")
-    url = f"ipc://{folder}/gate"
-    (spec,) = trials(held, SECRET)
-    match = Match(spec, entrant, held.limits, 40, folder / "log", "test", Gate(url, folder / "keys"))
-    reports: list[Any] = []
-    tried = threading.Event()
-
-    def attempt() -> None:
-        with suppress(GlueError):
-            program(url, folder)
-        tried.set()
-
-    threading.Thread(target=attempt, daemon=True).start()
-    ticks = itertools.count()
-
-    def clock() -> float:
-        return float(next(ticks)) if tried.is_set() else 0.0
-
-    play(match, reports.append, starter_for(entrant), clock=clock)
-    return reports
-
-
-def with_another_key(url: str, folder: Path) -> None:
-    write_pair(folder, "mallory", new_pair())
-    join(url, folder / "mallory.key_secret", "carol")
-
-
-def as_another(url: str, folder: Path) -> None:
-    join(url, folder / "carol.key_secret", "dave")
-
-
-def without_a_key(url: str, folder: Path) -> None:
-    serve_agent(Walker(), url, "carol", wait=1.0)
-
-
-def nobody(url: str, folder: Path) -> None:
-    pass
-
-
-def join(url: str, key: Path, session: str) -> None:
-    hub_key = key.parent / "keys" / "hub.key"
-    serve_agent(Walker(), url, session, key=key, hub_key=hub_key, wait=1.0)
-
-
-@pytest.mark.parametrize("program", [nobody, with_another_key, as_another, without_a_key])
-def test_nobody_else_gets_in_and_who_does_not_come_forfeits(
-    program: Callable[[str, Path], object], tmp_path: Path
-) -> None:
-    reports = reports_of(tmp_path, program)
-    (forfeit,) = (report for report in reports if isinstance(report, Forfeited))
-    assert forfeit.reason == "it did not connect within 1 s"
+def test_the_gate_is_open_to_the_owner_of_one_key_as_the_agent_of_one_session(tmp_path: Path) -> None:
+    carol, hub = new_pair(), new_pair()
+    write_pair(tmp_path / "keys", "hub", hub)
+    public, _ = write_pair(tmp_path, "carol", carol)
+    entrant, gate = Entrant("carol", key=public), Gate("tcp://127.0.0.1:*", tmp_path / "keys")
+    agent, session = frozenset({Role.AGENT}), frozenset({"carol"})
+    expected = Bind(
+        gate.bind, agent, session, Keys(hub.secret, {carol.public: Permit("carol", agent, session)})
+    )
+    assert gate_for(entrant, gate) == expected
+    public.unlink()
+    assert gate_for(replace(entrant, id=encode(carol.public)), gate) == expected  # as it was admitted
+    with pytest.raises(ConfigError, match="entrant carol joins with a key"):
+        gate_for(entrant, None)

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from env_server.toys import MinesEnvironment
-from experiment_runner.competition.match import Forfeited, Played
-from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starters import Launch, starter_for
+from experiment_runner.competition.match import Forfeited, Piece
+from experiment_runner.competition.settings import Limits
+from experiment_runner.competition.starters import Launch
 from experiment_runner.competition.trials import agent_seed, draw, trials
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from glue.engine.engine import role_seed
-from glue.errors import ConfigError, GlueError
+from glue.errors import GlueError
 from glue.trajectory import Ending, Episode, TrajectoryReader
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
@@ -40,7 +39,7 @@ def forfeit(reports: list[Any]) -> str:
 def episodes(reports: list[Any], folder: Path) -> list[Episode]:
     """Return the episodes in the record that a match has sent."""
     path = folder / "record.traj"
-    path.write_bytes(b"".join(report.piece for report in reports if isinstance(report, Played)))
+    path.write_bytes(b"".join(report.data for report in reports if isinstance(report, Piece)))
     return list(TrajectoryReader(path))
 
 
@@ -253,16 +252,6 @@ def test_a_program_that_was_ended_from_outside_forfeits_nothing(tmp_path: Path) 
     reports = reports_of(InThread(None, Interrupted), tmp_path)
     assert reports[-1] == Lost("the container engine went away")
     assert not any(isinstance(report, Forfeited) for report in reports)
-
-
-def test_containers_without_their_sdk_are_one_line_that_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(sys.modules, "docker", None)
-    monkeypatch.setitem(sys.modules, "docker.errors", None)
-    monkeypatch.delitem(sys.modules, "experiment_runner.competition.containers", raising=False)
-    with pytest.raises(ConfigError, match=r"entrant alice has an image.*pip install 'glue-rl\[compete\]'"):
-        starter_for(Entrant("alice", image="alice/agent:1"))
 
 
 def test_nobody_else_finds_the_socket(tmp_path: Path) -> None:

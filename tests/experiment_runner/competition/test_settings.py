@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from experiment_runner.competition.settings import Entrant, Task, load_competition, parse_competition
+from experiment_runner.competition.trials import read_secret
 from glue.errors import ConfigError
+from tests.experiment_runner.competition.players import competition
 
 _FILE = """\
 name = "spring"
@@ -40,19 +43,19 @@ key = "carol.pub"
 def test_a_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "spring.toml"
     path.write_text(_FILE)
-    competition = load_competition(path)
-    assert (competition.name, competition.trials) == ("spring", 2)
-    assert competition.seed_file == tmp_path / "secret.txt"
-    assert competition.tasks == (
+    found = load_competition(path)
+    assert (found.name, found.trials) == ("spring", 2)
+    assert found.seed_file == tmp_path / "secret.txt"
+    assert found.tasks == (
         Task("easy", "mario", {"level_difficulty": 0}, episodes=20),
         Task("long", "mines", steps=100_000, max_steps=500),
     )
-    assert competition.entrants == (
+    assert found.entrants == (
         Entrant("alice", image="alice/agent:1"),
         Entrant("bob", command=("glue-agent", "sample")),
         Entrant("carol", key=tmp_path / "carol.pub"),
     )
-    limits = competition.limits
+    limits = found.limits
     assert (limits.step_seconds, limits.bank_seconds, limits.start_seconds) == (0.5, 60, 30)
     assert (limits.memory, limits.cpus) == (512 * 2**20, 2.0)
 
@@ -116,15 +119,24 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         load_competition(tmp_path / "other.toml")
 
 
-def test_a_table_that_is_missing_is_named() -> None:
-    tasks = 'seed_env = "S"\n[tasks.a]\nenv = "mines"\nsteps = 3\n'
-    entrants = 'seed_env = "S"\n[entrants.a]\nimage = "x"\n'
-    with pytest.raises(ConfigError, match=r"\[entrants.NAME\]"):
-        parse_competition(tasks, Path("spring.toml"))
-    with pytest.raises(ConfigError, match=r"\[tasks.NAME\]"):
-        parse_competition(entrants, Path("spring.toml"))
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ('seed_env = "S"\n[tasks.a]\nenv = "mines"\nsteps = 3\n', r"\[entrants.NAME\]"),
+        ('seed_env = "S"\n[entrants.a]\nimage = "x"\n', r"\[tasks.NAME\]"),
+        (_FILE.replace('seed_file = "secret.txt"', ""), "seed_file"),
+    ],
+)
+def test_what_is_missing_is_named(text: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        parse_competition(text, Path("spring.toml"))
 
 
-def test_the_secret_is_named() -> None:
-    with pytest.raises(ConfigError, match="seed_file"):
-        parse_competition(_FILE.replace('seed_file = "secret.txt"', ""), Path("spring.toml"))
+@pytest.mark.parametrize(("mode", "warned"), [(0o600, False), (0o640, True), (0o604, True)])
+def test_a_secret_that_other_users_can_read_is_warned_of(tmp_path: Path, mode: int, warned: bool) -> None:
+    file = tmp_path / "secret.txt"
+    file.write_text("hush\n")
+    file.chmod(mode)
+    warnings: list[str] = []
+    assert read_secret(replace(competition("alice"), seed_file=file), {}, warnings.append) == b"hush"
+    assert [f"chmod 600 {file}" in line for line in warnings] == [True] * warned

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 from experiment_runner.executors.job import Start
-from experiment_runner.executors.recording import Meter, Recorder
+from experiment_runner.executors.recording import Meter
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import TrialSpec
@@ -19,10 +18,10 @@ from glue.errors import ExperimentError
 from glue.roles import Environment
 from glue.trajectory import TrajectoryWriter
 from glue.types import Action, Observation, Step
+from tests.experiment_runner.executors.test_trial import play
 from tests.players import ScriptedAgent
 
 LENGTHS = (4, 1, 7, 2, 2)
-Play = Callable[[Experiment, int, Meter], bool]
 
 
 class Counting(ScriptedAgent):
@@ -58,21 +57,6 @@ class StepByStep(LocalExperiment):
     rl_go_on = Experiment.rl_go_on
 
 
-def readings(
-    glue: Experiment, play: Play | None, max_steps: int, plan: MetricsPlan
-) -> tuple[list[Reading], list[EpisodeResult]]:
-    meter = Meter(glue, plan)
-    found: list[Reading] = []
-    results = []
-    glue.rl_init(1)
-    for number in range(1, len(LENGTHS) + 1):
-        meter.begin()
-        terminal = meter.rl_episode(max_steps) if play is None else play(glue, max_steps, meter)
-        results.append(EpisodeResult(number, glue.rl_return(), glue.rl_num_steps(), terminal, 0.0))
-        found += meter.end(results[-1])
-    return found, results
-
-
 @pytest.mark.parametrize("every", [1, 2, 3, 5])
 @pytest.mark.parametrize("max_steps", [0, 1, 2, 3, 5])
 @pytest.mark.parametrize("cut_off", [False, True])
@@ -81,29 +65,19 @@ def test_readings_are_due_at_the_same_steps_however_an_episode_is_run(
 ) -> None:
     spec = TrialSpec(TrialId("t"), None, None, len(LENGTHS), max_steps, 1)
     with TrajectoryWriter(tmp_path / "recording") as writer:
-
-        def record(glue: Experiment, limit: int, meter: Meter) -> bool:
-            recorder = Recorder(writer, spec, glue)
-            recorder.begin("", goes_on=False)
-            return recorder.rl_episode(limit, meter)
-
-        plays: Sequence[tuple[type[LocalExperiment], Play | None]] = (
-            (LocalExperiment, None),
-            (StepByStep, None),
-            (LocalExperiment, record),
-        )
+        ways = ((LocalExperiment, None), (StepByStep, None), (LocalExperiment, writer))
         found = [
-            readings(kind(Counting(), Varying(cut_off)), play, max_steps, MetricsPlan(every))
-            for kind, play in plays
+            play(kind(Counting(), Varying(cut_off)), spec=spec, recording=one, metrics=MetricsPlan(every))
+            for kind, one in ways
         ]
-    assert found[0] == found[1] == found[2]
-    taken, results = found[0]
-    steps = sum(result.steps for result in results)
-    assert [reading.step for reading in taken] == [*range(every, steps + 1, every)]
-    assert all(reading.values.keys() == {TOTAL_REWARD, "calls"} for reading in taken)
+    first, *others = ((kept.numbers, kept.readings) for kept in found)
+    assert others == [first, first]
+    steps = sum(result.steps for result in found[0].results)
+    assert [reading.step for reading in found[0].readings] == [*range(every, steps + 1, every)]
+    assert all(reading.values.keys() == {TOTAL_REWARD, "calls"} for reading in found[0].readings)
 
 
-def test_means_go_on_from_what_was_saved_within_a_group() -> None:
+def test_means_continue_from_what_was_saved_within_a_group() -> None:
     plan = MetricsPlan(0, {"calls": Keep(3, averaged=True)})
     glue = LocalExperiment(Counting(), Varying(False))
     glue.rl_init(1)

@@ -160,7 +160,7 @@ def test_module_without_a_file_is_no_file_of_the_user(
     assert not [path for path in about.get("files", {}) if path.endswith("_ops.py")]
 
 
-def test_run_without_a_plan_cannot_go_on(interrupted: Path) -> None:
+def test_run_without_a_plan_cannot_continue(interrupted: Path) -> None:
     (interrupted / PLAN_FILE).unlink()
     with pytest.raises(ExperimentError, match="was merged from other runs"):
         open_run(interrupted, PLAN)

@@ -85,7 +85,7 @@ def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
 
     placement = Placement(hub=HubOptions(bind=(LOCAL,)))
     with pytest.raises(Heard), open_experiment(REMOTE, placement, send, lambda: 0):
-        raise AssertionError("nobody was missing")
+        raise AssertionError("an agent was missing")
     assert hub
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import resource
 import signal
 import threading
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,12 +24,11 @@ from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
 from glue.client.players import serve_environment
 from glue.engine.experiment import Experiment
-from glue.engine.local import LocalExperiment, local
-from glue.errors import ConfigError, PeerLost
-from glue.roles import Agent, Environment
+from glue.engine.local import local
+from glue.errors import ConfigError
 from glue.trajectory import Ending, Episode, TrajectoryError, TrajectoryReader
 from glue.wire.messages import Kind
-from tests.experiment_runner.executors.test_trial import Forgetful, Kept, mines, play
+from tests.experiment_runner.executors.test_trial import Forgetful, Kept, Lossy, mines, play
 from tests.system.runs import contents, start, wait_until
 
 COMMAND: Final = ("--env", "mines", "--agent", "random", "--max-steps", "9", "--in-process")
@@ -104,32 +102,6 @@ def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> Non
 # Losses and continuations
 
 
-class LosesAgents(Experiment):
-    """Loses its agent at chosen calls, counted from 1, after the environment's part in the call."""
-
-    def __init__(
-        self, losses: Mapping[Kind, set[int]], agent: Callable[[], Agent], environment: Environment
-    ) -> None:
-        self._losses = losses
-        self._agent = agent
-        self._environment = environment
-        self._counts: dict[Kind, int] = {}
-        self._task_spec = ""
-        self._players: LocalExperiment = local(agent(), environment)
-
-    def _call(self, kind: Kind, scalars: tuple[Any, ...] = (), body: Any = None) -> tuple[Any, Any]:
-        self._counts[kind] = self._counts.get(kind, 0) + 1
-        reply = self._players._call(kind, scalars, body)
-        if kind is Kind.RL_INIT:
-            self._task_spec = reply[1]
-        if self._counts[kind] in self._losses.get(kind, ()):
-            newcomer = self._agent()
-            newcomer.agent_init(self._task_spec)
-            self._players = local(newcomer, self._environment)
-            raise PeerLost("the agent was lost")
-        return reply
-
-
 def played(kept: Kept) -> list[tuple[float, int, bool]]:
     return [(result.episode_return, result.steps, result.terminal) for result in kept.results]
 
@@ -157,7 +129,7 @@ def test_episodes_that_count_are_recorded_once_each_whatever_is_lost(
     losses: dict[Kind, set[int]], runs: int, states: list[bool]
 ) -> None:
     whole = run_recorded("whole.traj", local(SarsaAgent(), mines()))
-    kept = run_recorded("run.traj", LosesAgents(losses, SarsaAgent, mines()))
+    kept = run_recorded("run.traj", Lossy(losses, SarsaAgent, mines()))
     assert played(kept) == played(whole)
     found = counting(Path("run.traj"))
     assert contents_of(found) == contents_of(counting(Path("whole.traj")))
@@ -173,10 +145,8 @@ def test_episodes_that_count_are_recorded_once_each_whatever_is_lost(
     )
 
 
-def test_environment_goes_on_in_the_recording_when_an_agent_is_replaced() -> None:
-    kept = run_recorded(
-        "run.traj", LosesAgents({Kind.RL_STEP: {100}, Kind.RL_START: {20}}, Forgetful, mines())
-    )
+def test_environment_continues_in_the_recording_when_an_agent_is_replaced() -> None:
+    kept = run_recorded("run.traj", Lossy({Kind.RL_STEP: {100}, Kind.RL_START: {20}}, Forgetful, mines()))
     assert numbers(counting(Path("run.traj"))) == played(kept)
     assert len(kept.voids) == 2
 
@@ -188,14 +158,14 @@ class Unsaved(MinesEnvironment):
 
 
 def test_recording_of_an_environment_that_cannot_be_saved_has_no_state_after_a_loss() -> None:
-    kept = run_recorded("run.traj", LosesAgents({Kind.RL_STEP: {100}}, SarsaAgent, Unsaved()))
+    kept = run_recorded("run.traj", Lossy({Kind.RL_STEP: {100}}, SarsaAgent, Unsaved()))
     found = episodes(Path("run.traj"))
     assert [episode.ending for episode in found].count(Ending.VOID) == 1
     assert numbers([e for e in found if e.ending is not Ending.VOID]) == played(kept)
     assert {episode.run.state for episode in found} == {b""}
 
 
-def test_trial_that_goes_on_is_recorded_from_its_checkpoint() -> None:
+def test_trial_that_continues_is_recorded_from_its_checkpoint() -> None:
     whole = run_recorded("whole.traj", local(SarsaAgent(), mines()))
     start = Start(10, whole.checkpoints[10])
     kept = run_recorded("rest.traj", local(SarsaAgent(), mines()), start)

@@ -3,7 +3,8 @@ from __future__ import annotations
 import math
 import signal
 import threading
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -29,7 +30,7 @@ from experiment_runner.executors.trial import run_trial
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Reading
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment, local
 from glue.errors import GlueError, PeerLost
@@ -52,13 +53,15 @@ class Kept:
         self.voids: list[int] = []
         self.events: list[str] = []
         self.said: list[str] = []
+        self.readings: list[Reading] = []
 
     def __call__(self, report: Report) -> None:
         match report:
-            case Recorded(result, checkpoint, answers):
+            case Recorded(result, checkpoint, answers, readings):
                 assert not self.results or result.episode == self.results[-1].episode + 1
                 self.results.append(result)
                 self.answers.append(answers)
+                self.readings += readings
                 if checkpoint is not None:
                     self.checkpoints[result.episode] = checkpoint
             case Voided(episode):
@@ -92,28 +95,45 @@ def play(
 
 
 class Lossy(Experiment):
-    """Loses both players at chosen calls, counted from 1; fresh ones are there for the next."""
+    """Loses players at chosen calls, counted from 1; fresh ones are there for the next.
 
-    def __init__(self, losses: dict[Kind, set[int]], agent: Callable[[], Agent]) -> None:
+    Both are lost before the call; or, with an environment, the agent after the environment's part in it.
+    """
+
+    def __init__(
+        self,
+        losses: Mapping[Kind, set[int]],
+        agent: Callable[[], Agent],
+        environment: Environment | None = None,
+    ) -> None:
         self._losses = losses
         self._agent = agent
-        self._counts: dict[Kind, int] = {}
+        self._environment = environment
+        self._counts: Counter[Kind] = Counter()
         self._players = self._fresh()
         self._seed: int | None = None
+        self._task_spec = ""
 
     def _fresh(self) -> LocalExperiment:
-        return local(self._agent(), mines())
+        self._newcomer = self._agent()
+        return local(self._newcomer, mines() if self._environment is None else self._environment)
 
     def _call(self, kind: Kind, scalars: tuple[Any, ...] = (), body: Any = None) -> tuple[Any, Any]:
-        self._counts[kind] = self._counts.get(kind, 0) + 1
+        self._counts[kind] += 1
+        lost = self._counts[kind] in self._losses.get(kind, ())
+        if self._environment is not None or not lost:
+            reply = self._players._call(kind, scalars, body)
         if kind is Kind.RL_INIT:
             self._seed = scalars[0]
-        if self._counts[kind] in self._losses.get(kind, ()):
+            self._task_spec = "" if lost else reply[1]
+        if lost:
             self._players = self._fresh()
-            if kind is not Kind.RL_INIT:
+            if self._environment is not None:
+                self._newcomer.agent_init(self._task_spec)
+            elif kind is not Kind.RL_INIT:
                 self._players.rl_init(self._seed)
             raise PeerLost("the agent was lost")
-        return self._players._call(kind, scalars, body)
+        return reply
 
 
 def mines() -> Environment:
@@ -136,7 +156,7 @@ def test_every_episode_is_recorded_with_the_checkpoints_that_are_due() -> None:
 
 
 @pytest.mark.parametrize("after", [10, 20])
-def test_trial_goes_on_from_a_checkpoint_as_if_never_interrupted(after: int) -> None:
+def test_trial_continues_from_a_checkpoint_as_if_never_interrupted(after: int) -> None:
     whole = undisturbed(every=10)
     kept = play(local(SarsaAgent(), mines()), 10, start=Start(after, whole.checkpoints[after]))
     assert kept.numbers == whole.numbers[after:]
@@ -172,7 +192,7 @@ class Forgetful(RandomAgent):
     agent_save = agent_load = None  # type: ignore[assignment]
 
 
-def test_player_that_cannot_save_is_replaced_and_the_trial_goes_on() -> None:
+def test_player_that_cannot_save_is_replaced_and_the_trial_continues() -> None:
     kept = play(Lossy({Kind.RL_EPISODE: {4}}, Forgetful), 10)
     assert len(kept.results) == SPEC.episodes
     assert kept.voids == [4]

@@ -14,7 +14,7 @@ def test_worker_that_is_stopped_ends_an_episode_and_reports_a_checkpoint_after_i
     reports: list[Report] = []
     stopped = False
     with LocalExecutor(1) as executor:
-        executor.start(Job(spec, RunConfig(Placement(BOTH))))
+        executor.start(Job(spec, RunConfig(Placement(BOTH), grace=60)))
         while not (reports and isinstance(reports[-1], Lost)):
             reports += [report for _, report in executor.receive(60)]
             if reports and not stopped:

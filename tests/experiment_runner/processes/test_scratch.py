@@ -19,7 +19,7 @@ def test_folder_of_a_killed_run_is_removed_and_that_of_a_living_one_stays(
     for folder, file in ((killed, SOCKET), (thesis, "thesis.tex"), (unlocked, SOCKET)):
         folder.mkdir()
         (folder / file).touch()
-    for folder in (killed, thesis):  # their locks are files, which nobody holds
+    for folder in (killed, thesis):  # their locks are files, which no process holds
         RunLock(folder).release()
     with scratch_folder() as living:
         (living / SOCKET).touch()

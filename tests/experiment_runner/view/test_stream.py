@@ -15,7 +15,7 @@ from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
 from experiment_runner.view.catalog import Catalog, Watcher
-from experiment_runner.view.stream import Pulse
+from experiment_runner.view.stream import Pulse, Topic
 from tests.experiment_runner.view.pages import Inside, Page, glue_view
 
 
@@ -72,6 +72,16 @@ def test_a_page_that_comes_back_is_sent_what_it_has_missed_alone(page: Page, tmp
         assert len(page.stream(f"topic=runs&since={other}").next()["runs"]) == 2
     for store in stores:
         store.close()
+
+
+def test_a_slow_page_is_sent_the_newest_value_alone() -> None:
+    topic = Topic(pulse := Pulse())
+    for moment in range(5):
+        topic.put("moment", moment)
+        topic.put("trial", "a")  # no change
+    assert topic.since(0) == {"moment": 4, "trial": "a"}
+    assert topic.since(2) == {"moment": 4}
+    assert topic.since(pulse.change) == {}
 
 
 def test_a_change_that_is_found_while_the_last_page_goes_away_is_not_lost(tmp_path: Path) -> None:

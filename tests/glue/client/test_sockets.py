@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from glue.client.sockets import SocketTransport
-from glue.wire.limits import MAX_BODY
-from glue.wire.messages import Kind, Message
+from glue.wire.messages import MAX_BODY, Kind, Message
 from tests.scripted.hub import ScriptedHub
 
 SECONDS = 10.0

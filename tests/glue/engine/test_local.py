@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, LocalProtocolError, PeerFailed, Unsupported
 from glue.options import build
@@ -54,6 +55,20 @@ def test_a_glue_error_of_a_player_is_its_failure_too() -> None:
     glue = local(Faulty("agent_init", LocalProtocolError("ints must be whole")), ScriptedEnvironment())
     with pytest.raises(PeerFailed, match="agent Faulty raised in agent_init: ints must be whole"):
         glue.rl_init()
+
+
+@BOTH
+@pytest.mark.parametrize(("limits", "taken"), [((0,), 3), ((2, 3, 0), 3), ((2, 3), 2)])
+def test_an_episode_continues_to_each_limit_and_without_one_to_its_end(
+    glue: Callable[[Agent, ScriptedEnvironment], Experiment], limits: tuple[int, ...], taken: int
+) -> None:
+    environment = ScriptedEnvironment(length=3)
+    with glue(ScriptedAgent(), environment) as experiment:
+        experiment.rl_init()
+        experiment.rl_start()
+        ends = [experiment.rl_go_on(limit) for limit in limits]
+        assert ends == [True if limit == 0 else None for limit in limits]
+    assert sum(call.startswith("env_step") for call in environment.calls) == taken
 
 
 def test_an_interrupt_passes_through() -> None:

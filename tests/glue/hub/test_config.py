@@ -9,8 +9,7 @@ import pytest
 
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, Keys, LegacyPort, Permit, check_session, check_url
-from glue.wire.limits import MAX_BODY, MAX_NAME
-from glue.wire.messages import Role
+from glue.wire.messages import MAX_BODY, MAX_NAME, Role
 
 
 @pytest.mark.parametrize(

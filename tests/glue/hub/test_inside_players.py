@@ -19,8 +19,7 @@ from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, GlueError, PeerFailed
 from glue.hub.config import HubConfig
-from glue.hub.io.hosting import host
-from glue.hub.io.inside import InsideTransport
+from glue.hub.io.inside import InsideTransport, host
 from glue.hub.io.server import Hub
 from glue.wire.messages import Role
 from tests.players import ScriptedAgent, ScriptedEnvironment

@@ -12,8 +12,7 @@ import pytest
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.types import Action, Observation
-from glue.wire.limits import MAX_NAME
-from glue.wire.messages import CALLS, PROTOCOL_VERSION, THREE_ROLES, Kind, Role
+from glue.wire.messages import CALLS, MAX_NAME, PROTOCOL_VERSION, THREE_ROLES, Kind, Role
 from tests.glue.hub.test_sessions import Rig, instance
 from tests.scripted.peer import TIMEOUT, ScriptedPeer
 from tests.weighing import check, check_sessions, size_of

@@ -14,9 +14,9 @@ from glue.hub.config import Bind, HubConfig
 from glue.hub.sessions import INSTANCE_SIZE, Sessions
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.limits import MAX_NAME
 from glue.wire.messages import (
     CALLS,
+    MAX_NAME,
     PROTOCOL_VERSION,
     THREE_ROLES,
     Body,
@@ -613,7 +613,7 @@ def events(draw: st.DrawFn) -> tuple[Any, ...]:
 @pytest.mark.proof
 @given(st.lists(events(), max_size=60))
 @settings(max_examples=size(60, 2000), deadline=None)
-def test_the_switchboard_survives_any_behaviour_and_accounts_for_what_it_keeps(
+def test_sessions_survive_any_behaviour_and_account_for_what_they_keep(
     story: list[tuple[Any, ...]],
 ) -> None:
     rig = Rig(HubConfig(max_sessions=8))

@@ -13,7 +13,7 @@ from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from glue.engine.calls import name_of
 from glue.engine.local import local
 from glue.errors import ConfigError, GlueError
-from glue.plugins.trained import Trained, load_trained
+from glue.plugins.loading import Trained, load_trained
 from glue.roles import capabilities
 from tests.forked import run
 from tests.terminal import Terminal

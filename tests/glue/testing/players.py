@@ -8,8 +8,8 @@ import struct
 import numpy as np
 
 from glue.errors import LocalProtocolError
-from glue.random_state import load_generator, save_generator
 from glue.roles import Agent, Environment
+from glue.saves import load_generator, save_generator
 from glue.types import Action, Observation
 
 TASK_SPEC = (

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from glue.errors import GlueError, LocalProtocolError
-from glue.random_state import load_generator
+from glue.saves import load_generator
 from glue.testing import ContractBroken, Rule, check_agent, check_environment
 from glue.types import Action, Observation
 from tests.changes import changed, read_table

@@ -18,8 +18,7 @@ from glue.errors import RemoteProtocolError
 from glue.types import CUT_OFF, Observation, body_size
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.limits import MAX_BODY, MAX_HEADER
-from glue.wire.messages import CALLS, CONTROL, OBSERVING, Body, Kind, Message, Value
+from glue.wire.messages import CALLS, CONTROL, MAX_BODY, MAX_HEADER, OBSERVING, Body, Kind, Message, Value
 from tests.glue.wire.examples import EXAMPLES
 
 FILE: Final = Path(glue.testing.__file__).with_name("vectors.json")

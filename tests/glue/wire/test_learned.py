@@ -20,9 +20,9 @@ from glue.types import CUT_OFF
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, encode
 from glue.wire.curve import CurveClient, CurveServer, public_key
-from glue.wire.frames import COMMAND, LONG, LONG_HEAD, MORE, head
 from glue.wire.messages import Kind, Message, Value
 from glue.wire.stream import Malformed, Stream
+from glue.wire.zmtp import COMMAND, LONG, LONG_HEAD, MORE, head
 from tests.proof import size
 
 SESSIONS = ("s", "t", "", "n" * 31, "n" * 32, "ä" * 15, "unknown")

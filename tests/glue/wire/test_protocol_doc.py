@@ -17,10 +17,12 @@ from glue.hub.io.channels import MAX_UNSENT, MAX_WITHOUT_SESSION
 from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.types import AbstractType, Action, Observation, body_size
 from glue.wire.codec import decode, encode
-from glue.wire.limits import MAX_BODY, MAX_HEADER, MAX_NAME
 from glue.wire.messages import (
     CALLS,
     CONTROL,
+    MAX_BODY,
+    MAX_HEADER,
+    MAX_NAME,
     OBSERVING,
     OUTCOME,
     PROTOCOL_VERSION,

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, clip, decode, encode
-from glue.wire.limits import MAX_HEADER
-from glue.wire.messages import Body, Kind, Message, Scalar, Shape
+from glue.wire.messages import MAX_HEADER, Body, Kind, Message, Scalar, Shape
 
 int32s = st.lists(st.integers(-(2**31), 2**31 - 1), max_size=5)
 doubles = st.lists(st.floats(), max_size=5)

@@ -24,8 +24,7 @@ from glue.errors import GlueError
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation
 from glue.wire.codec import TO_HUB, encode
-from glue.wire.limits import MAX_BODY
-from glue.wire.messages import Kind, Message
+from glue.wire.messages import MAX_BODY, Kind, Message
 from tests.scripted import curve
 from tests.scripted.curve import CurveClient, Pair, command
 from tests.scripted.peer import ABORT, GREETING, ScriptedPeer, framed, hello_scalars

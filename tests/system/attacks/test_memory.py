@@ -13,8 +13,7 @@ import pytest
 
 from glue.types import Observation
 from glue.wire.codec import FROM_HUB, decode
-from glue.wire.limits import MAX_BODY
-from glue.wire.messages import CALLS, Kind, Message
+from glue.wire.messages import CALLS, MAX_BODY, Kind, Message
 from tests.scripted.curve import CurveClient, Pair
 from tests.scripted.peer import ScriptedPeer
 from tests.system.attacks import siege

@@ -20,8 +20,7 @@ from glue.legacy import peers
 from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPeer
 from glue.roles import Agent, Environment
-from glue.wire.limits import MAX_BODY
-from glue.wire.messages import Message
+from glue.wire.messages import MAX_BODY, Message
 from tests.system.legacy.legacy_client import (
     STYLES,
     TIMEOUT,

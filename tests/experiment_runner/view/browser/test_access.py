@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.experiment_runner.competition.contest import compete, write
 from tests.experiment_runner.view.browser.chromium import Browser, needed
-from tests.experiment_runner.view.contests import hold
 from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_curves import store_run
@@ -35,7 +35,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     make_run(folder / "interrupted").close()
     (folder / "damaged").mkdir()
     (folder / "damaged" / "results.sqlite").write_bytes(b"SQLite format 3\0" + b"\xff" * 5000)
-    hold(folder)
+    write(folder)
+    assert compete(folder, "run", "spring.toml", "--out", "held").returncode == 0
+    assert compete(folder, "verify", "held").returncode == 0
     recorded = ("--env", "mines", "--agent", "random", "--episodes", "1", "--out", "played")
     asked = ("--record", "played/run.traj", "--ask", "values")
     done = run("glue-experiment", *recorded, *asked, cwd=folder)

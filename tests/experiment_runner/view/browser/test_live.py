@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import base64
-import os
-import signal
 import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from glue.types import Observation, body_size
 from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed
-from tests.experiment_runner.view.game.test_live import playing, started, until
 from tests.experiment_runner.view.pages import Page, glue_view
-from tests.system.runs import children, start
+from tests.system.runs import start
 
 needed()
 
@@ -75,72 +70,3 @@ def test_a_run_is_killed_and_goes_on_while_the_page_stays_open(
     browser.shows("interrupted")
     assert browser.run("return window.same") is True  # it was never reloaded
     assert browser.errors() == []
-
-
-BROAD = """
-from glue import Observation
-
-SPEC = "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 POSINF)"
-
-
-class Broad:
-    steps = 0
-
-    def env_init(self):
-        return SPEC + " CHARCOUNT 100000 ACTIONS INTS (0 1) REWARDS (0 1)"
-
-    def env_start(self):
-        return self.seen()
-
-    def env_step(self, action):
-        return 1.0, self.seen(), self.steps % 100 == 0
-
-    def seen(self):
-        self.steps += 1
-        return Observation([self.steps], [], b"x" * 100_000)
-
-    def env_cleanup(self): ...
-
-    def env_message(self, message):
-        return ""
-"""
-"""An environment that counts its steps, with observations that fill the buffers between hub and page."""
-
-
-_COUNT = """
-window.drawn = 0;
-const cell = document.querySelector(".numbers tbody td");
-new MutationObserver(() => window.drawn++).observe(cell, { childList: true });
-"""
-
-
-def signal_all(pids: list[int], number: int) -> None:
-    for pid in pids:
-        os.kill(pid, number)
-
-
-def test_a_browser_that_is_slow_misses_moments_and_nobody_waits_for_it(
-    browser: Browser, page: Page, tmp_path: Path
-) -> None:
-    (tmp_path / "broad.py").write_text(BROAD)
-
-    def newest() -> int:
-        return int(browser.run("return document.querySelector('.numbers tbody td')?.textContent ?? '0'"))
-
-    with playing("--out", "runs/a", env="broad.py:Broad", cwd=tmp_path):
-        run = started(page, page.stream("topic=runs"))
-        browser.go(f"game/{run}")
-        browser.wait(newest, "a moment")
-        browser.run(_COUNT)
-        drawing = children(browser.driver.service.process.pid, "--type=renderer")
-        signal_all(drawing, signal.SIGSTOP)  # from now on it reads nothing
-        stream, seen = page.stream(f"topic=live:{run}"), list[int]()
-        while len(seen) < 150:
-            body = base64.b64decode(until(stream, f"live:{run}", "moment", {})["seen"])
-            seen.append(Observation.from_body(body[body_size(body) :]).ints[0])
-        assert sorted(set(seen)) == seen  # others continue, and are shown the newest step
-        signal_all(drawing, signal.SIGCONT)
-        browser.wait(lambda: newest() > seen[-1], "the newest moment")
-        assert browser.run("return window.drawn") < len(seen)
-        assert browser.errors() == []
-        assert page.stop() == 130  # with a browser and a stream connected

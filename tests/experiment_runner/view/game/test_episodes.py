@@ -19,6 +19,7 @@ from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation, body_size
 from tests.experiment_runner.view.pages import Answer, Inside
 from tests.experiment_runner.view.test_stream import make_run
+from tests.forked import run
 
 SPEC = (
     "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (2 0 9) DOUBLES (-1 POSINF) "
@@ -178,8 +179,6 @@ def test_the_sheet_holds_every_sprite_where_it_is_said_to_be(shown: Shown) -> No
 
 
 def test_a_recording_may_be_made_in_the_folder_of_its_run(tmp_path: Path) -> None:
-    from tests.forked import run
-
     command = "glue-experiment --env skeleton --agent skeleton --episodes 2 --in-process --out a"
     assert run(*command.split(), "--record", "a/run.traj", cwd=tmp_path).returncode == 0
     assert len(list(TrajectoryReader(tmp_path / "a/run.traj"))) == 2

@@ -1,7 +1,8 @@
-"""Entrants that are started elsewhere and waited for."""
+"""Entrants that are waited for in a folder, and those whose containers cannot be started."""
 
 from __future__ import annotations
 
+import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -41,3 +42,13 @@ def test_an_entrant_in_a_folder_finds_the_socket_of_each_trial_and_needs_no_sess
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"there is no folder .*missing: make it"):
         InFolder().check(Entrant("alice", folder=tmp_path / "missing"), Limits())
+
+
+def test_containers_without_their_sdk_are_one_line_that_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "docker", None)
+    monkeypatch.setitem(sys.modules, "docker.errors", None)
+    monkeypatch.delitem(sys.modules, "experiment_runner.competition.containers", raising=False)
+    with pytest.raises(ConfigError, match=r"entrant alice has an image.*pip install 'glue-rl\[compete\]'"):
+        starter_for(Entrant("alice", image="alice/agent:1"))

@@ -1,0 +1,144 @@
+"""A language model behind an endpoint of the common chat-completions form."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from dataclasses import dataclass
+from time import sleep
+from typing import Annotated, Any, ClassVar, Final, NamedTuple
+
+from agents.language.agent import LanguageAgent
+from agents.language.endpoint import KEY_VARIABLE, Endpoint, EndpointBusy, EndpointFailed
+from agents.language.game import UNTIL, GameOptions, Until
+from glue.console import LOG, one_line
+from glue.errors import ConfigError
+from glue.options import Option, Value
+
+_WAITS: Final = (1.0, 4.0)
+"""Seconds before the second and third try."""
+
+_MOST_LETTERS: Final = 16_000  # of an answer that are read and shown again
+_MOST_TOKENS: Final = 2**31
+_DRESS: Final = " \t`_.>"  # around a line, in which models dress up what they write
+
+_HOW: Final = f"""Each message shows how your last choice went and what you see. End your answer with one line
+act: ACTION, ACTION, ...
+after which `until CONDITION` may stop the sequence early, or with the line
+give up
+by which the episode ends with what standing still earns. Nothing above that line is read.
+Conditions: {UNTIL}."""
+
+
+@dataclass(kw_only=True)
+class Options(GameOptions):
+    """The options of the agent `chat`."""
+
+    url: Annotated[str, Option("address of the endpoint, such as http://127.0.0.1:8080/v1")] = ""
+    model: Annotated[str, Option("name of the model at the endpoint")] = ""
+    temperature: Annotated[float | None, Option("of sampling; by default the endpoint's", low=0)] = None
+    top_p: Annotated[float | None, Option("of sampling; by default the endpoint's", low=0, high=1)] = None
+    max_tokens: Annotated[int, Option("maximum length of an answer", low=1, unit="tokens")] = 1024
+    timeout: Annotated[float, Option("time for one answer of the endpoint", low=0.1, unit="s")] = 60.0
+    memory: Annotated[int, Option("earlier choices that the model is shown", low=0, high=10_000)] = 10
+
+
+class ChatAgent(LanguageAgent):
+    """A language model behind an endpoint for chats, of the common chat-completions form.
+
+    The environment variable GLUE_CHAT_KEY holds the endpoint's key, if it wants one. docs/language-models.md
+    says what is recorded.
+    """
+
+    Options: ClassVar[type] = Options
+
+    def __init__(self, **options: Value | None) -> None:
+        super().__init__(Options(**options))  # type: ignore[arg-type]  # checked by `glue.options.build`
+        if not self.options.url or not self.options.model:
+            text = "the agent chat needs the address of an endpoint, and the name of a model there"
+            raise ConfigError(text, settings=("url", "model"))
+        self._endpoint = Endpoint(self.options.url, os.environ.get(KEY_VARIABLE) or None)
+        self._history: deque[dict[str, str]] = deque(maxlen=2 * self.options.memory)
+
+    @property
+    def how(self) -> str:
+        return _HOW
+
+    def agent_init(self, task_spec: str) -> None:
+        super().agent_init(task_spec)
+        self._history.clear()
+
+    def choose(self) -> None:
+        turn = self.game.turn
+        shown = self.game.answer(turn - 1) or self.game.view()
+        question = {"role": "user", "content": shown.text}
+        reply = self._ask([{"role": "system", "content": self.prompt}, *self._history, question])
+        if reply is None:
+            return
+        self._history += (question, {"role": "assistant", "content": reply.text})
+        self.game.note(*reply)
+        actions, until = read_choice(reply.text)
+        if actions == []:
+            self.game.give_up(turn)
+        else:
+            self.game.act(turn, actions, until)
+
+    def _ask(self, messages: list[dict[str, str]]) -> Reply | None:
+        """Return the model's answer; None if the time of the episode is used up."""
+        options = self.options
+        body = {"model": options.model, "messages": messages, "max_tokens": options.max_tokens}
+        sampling = {"temperature": options.temperature, "top_p": options.top_p}
+        body |= {name: value for name, value in sampling.items() if value is not None}
+        waits = iter(_WAITS)
+        while (left := self.game.time_left) > 0:
+            try:
+                return read_reply(self._endpoint.post(body, min(options.timeout, left)))
+            except EndpointBusy as error:
+                if (wait := next(waits, None)) is None:
+                    raise
+                LOG.warning("%s; asking again in %g s", error, wait)
+                self.game.counts.repeated += 1
+                sleep(min(wait, self.game.time_left))
+        return None
+
+
+class Reply(NamedTuple):
+    """What a model has answered, and how many tokens it read and wrote."""
+
+    text: str
+    tokens_in: int
+    tokens_out: int
+
+
+def read_reply(answer: Any) -> Reply:
+    """Return the first message of an endpoint's answer; its text may be empty.
+
+    Raises:
+        EndpointFailed: it is no answer of the common form.
+    """
+    try:
+        text = answer["choices"][0]["message"]["content"] or ""
+        usage = answer.get("usage") or {}
+        read, written = (usage.get(name) or 0 for name in ("prompt_tokens", "completion_tokens"))
+        if isinstance(text, str) and all(type(n) is int and 0 <= n < _MOST_TOKENS for n in (read, written)):
+            return Reply(text[:_MOST_LETTERS], read, written)
+    except (KeyError, IndexError, TypeError, AttributeError):
+        pass
+    shown = one_line(repr(answer), 200)
+    raise EndpointFailed(f"the endpoint's answer has no text at choices[0].message.content: {shown}")
+
+
+def read_choice(text: str) -> tuple[list[str] | None, str]:
+    """Return the actions of the last line that states a choice, none for `give up`, and when they stop.
+
+    The actions are None if there is no such line.
+    """
+    for line in reversed(text.splitlines()):
+        plain = line.strip(_DRESS)
+        if plain.lower() == "give up":
+            return [], Until.END
+        if plain.lower().startswith("act:"):
+            actions, _, until = plain[4:].partition(" until ")
+            names = [name.strip(_DRESS) for name in actions.split(",")]
+            return names, until.strip().lower() or Until.END
+    return None, Until.END

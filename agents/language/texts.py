@@ -1,0 +1,158 @@
+"""The texts of a game for a language model: its rules, its actions by name, what is seen.
+
+Both doors, `agents.language.server` and `agents.language.chat`, show the same ones, made of the task spec,
+the words that the environment brings (`glue.plugins.words`) and the options.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import Final
+
+from glue.console import one_line, printable
+from glue.errors import GlueError, LocalProtocolError
+from glue.plugins.words import find_picture, find_words
+from glue.taskspec import Range, Ranges, Space, TaskSpec, parse_task_spec
+from glue.types import Action, Observation
+
+_MOST_LISTED: Final = 64  # actions that get names of their numbers
+_MOST_NUMBERS: Final = 64  # in an action
+_MOST_SEEN: Final = 4000  # letters of an observation
+_MOST_EXTRA: Final = 1000
+_MOST_NAME: Final = 200
+_TIMES: Final = re.compile(r"(.*?)\s*(?:\*\s*([0-9]{1,9}))?", re.DOTALL)
+
+
+class IllegalChoice(GlueError):
+    """What the model has chosen is no legal action, or too many; the message says what is legal."""
+
+
+class Texts:
+    """The texts of one task.
+
+    Args:
+        task_spec: as the environment returned it.
+        most: maximum number of actions of one choice.
+        listed: whether every observation lists the legal actions.
+
+    Attributes:
+        rules: the rules of the game, in words.
+        names: the legal actions by name; empty if they are too many to be named.
+        still: the action of who stands still.
+
+    Raises:
+        TaskSpecError: the task spec does not parse.
+        LocalProtocolError: it does not state the actions, or they are not a few numbers.
+    """
+
+    def __init__(self, task_spec: str, most: int, listed: bool) -> None:
+        spec = parse_task_spec(task_spec)
+        ints, doubles, chars = spec.actions.counts
+        if chars or not 0 < ints + doubles <= _MOST_NUMBERS:
+            raise LocalProtocolError(
+                f"a language model needs a task spec that states actions of 1 to {_MOST_NUMBERS} numbers, "
+                f"not {one_line(task_spec, 80)!r}"
+            )
+        self._spec = spec
+        self._words = find_words(spec)
+        self._picture = find_picture(spec)
+        self._most = most
+        self.names: Final[Mapping[str, Action]] = self._words.actions or _enumerated(spec.actions)
+        self.still: Final = Action(*spec.actions.still())
+        self.rules: Final = "\n".join(filter(None, self._rules(spec, listed)))
+
+    @property
+    def legal(self) -> str:
+        """The legal actions, in a line."""
+        return ", ".join(self.names) or f"{_numbers(self._spec.actions)}, separated by spaces"
+
+    def actions(self, names: object) -> list[Action]:
+        """Return the actions of a choice: a list of names or numbers, each perhaps with `*` and how often.
+
+        Raises:
+            IllegalChoice: one is not legal, there is none, or there are too many.
+        """
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise IllegalChoice("no list of actions was given")
+        chosen: list[Action] = []
+        for name in names:
+            parts = _TIMES.fullmatch(name.strip()[:_MOST_NAME])
+            assert parts is not None
+            chosen += [self._action(parts[1])] * min(int(parts[2] or 1), self._most + 1)
+        if not 0 < len(chosen) <= self._most:
+            raise IllegalChoice(f"a choice has 1 to {self._most} actions")
+        return chosen
+
+    def seen(self, observation: Observation) -> str:
+        """Return an observation as text: the environment's picture in characters, or numbers."""
+        if self._picture is not None and self._spec.observations.check(observation) is None:
+            text = "\n".join(self._picture(observation, False))
+        else:
+            ints, doubles = observation.ints[:_MOST_SEEN].tolist(), observation.doubles[:_MOST_SEEN].tolist()
+            numbers = " ".join([*map(str, ints), *(f"{number:.6g}" for number in doubles)])
+            text = f"{numbers}\n{observation.chars[:_MOST_SEEN].decode('latin-1')}".strip("\n")
+        text = printable(text)
+        return text if len(text) <= _MOST_SEEN else f"{text[:_MOST_SEEN]}..."
+
+    def image(self, observation: Observation) -> bytes | None:
+        """Return a picture of an observation, as PNG; None if the environment has none.
+
+        Raises:
+            ConfigError: the library that draws it is missing.
+        """
+        return None if self._words.image is None else self._words.image(observation)
+
+    def _action(self, name: str) -> Action:
+        known = self.names.get(name.lower())
+        if known is not None:
+            return known
+        words, ints = name.split(), self._spec.actions.counts[0]
+        try:
+            action = Action([int(word) for word in words[:ints]], [float(word) for word in words[ints:]])
+            if self._spec.actions.check(action) is None:
+                return action
+        except (ValueError, LocalProtocolError):
+            pass
+        raise IllegalChoice(f"{one_line(name, 60)!r} is no legal action; legal are: {self.legal}")
+
+    def _rules(self, spec: TaskSpec, listed: bool) -> Iterator[str]:
+        yield "You are the agent in a task of reinforcement learning: earn as much reward as you can."
+        says = f"The environment says of itself: {one_line(spec.extra, _MOST_EXTRA)}"
+        yield self._words.rules or (says if spec.extra else "")
+        yield f"The task is {spec.problem_type}, with a discount factor of {spec.discount:g}."
+        if spec.observations.stated:
+            yield f"An observation: {_numbers(spec.observations)}."
+        yield f"The reward of a step: a number{_between(spec.rewards)}."
+        yield f"{'Legal actions' if self.names else 'An action'}: {self.legal}."
+        yield f"A choice is one action, or up to {self._most} in a row; NAME*3 is an action three times."
+        yield f"Legal actions are {'' if listed else 'not '}listed each time. Time waits as you choose."
+
+
+def _enumerated(space: Space) -> dict[str, Action]:
+    """Return all actions by their numbers; none if there are doubles, or too many actions."""
+    ends = [range_.ends for range_ in space.ints]
+    if space.doubles or math.prod(high - low + 1 for low, high in ends) > _MOST_LISTED:
+        return {}
+    values = product(*(range(int(low), int(high) + 1) for low, high in ends))
+    return {" ".join(map(str, ints)): Action(ints) for ints in values}
+
+
+def _numbers(space: Space) -> str:
+    """Return what a value of a space is, in words."""
+    letters = [f"{space.chars} letters"] if space.chars else []
+    parts = [*_runs(space.ints, "whole number"), *_runs(space.doubles, "number"), *letters]
+    return ", ".join(parts[:_MOST_NUMBERS])
+
+
+def _runs(ranges: Ranges, noun: str) -> Iterator[str]:
+    for repeat, range_ in ranges.runs:
+        yield f"{repeat} {noun}{'s' * (repeat > 1)}{_between(range_)}"
+
+
+def _between(range_: Range) -> str:
+    low, high = range_.ends
+    least = "" if math.isinf(low) else f" from {low:g}"
+    return least if math.isinf(high) else f"{least} to {high:g}"

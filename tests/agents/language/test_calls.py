@@ -1,0 +1,131 @@
+"""Calls of tools as a client of the Model Context Protocol makes them, without its SDK."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event, Thread
+from typing import Any
+
+import pytest
+
+from agents.language import server
+from agents.language.agent import LanguageAgent
+from agents.language.game import GameOptions, GameOver, Phase
+from agents.language.server import play
+from env_server.toys import SkeletonEnvironment
+from glue.engine.local import local
+from glue.errors import ConfigError
+from glue.plugins.loading import make_agent
+from glue.roles import Environment
+from glue.types import Action, Step
+
+
+class Door(LanguageAgent):
+    """A door through which the test calls the tools."""
+
+    how = "call tools"
+
+    def choose(self) -> None:
+        self.changed.wait(min(self.game.time_left, 60.0))
+
+
+class Slow(SkeletonEnvironment):
+    """The walk, whose steps wait while `gate` is closed."""
+
+    gate = Event()
+
+    def env_step(self, action: Action) -> Step:
+        self.gate.wait()
+        return super().env_step(action)
+
+
+@contextmanager
+def session(
+    agent: LanguageAgent, environment: Environment | None = None, episodes: int = 1
+) -> Iterator[None]:
+    """Run an experiment in a thread."""
+
+    def experiment() -> None:
+        with local(agent, environment or SkeletonEnvironment()) as glue:
+            glue.rl_init()
+            for _ in range(episodes):
+                glue.rl_episode(30)
+            glue.rl_cleanup()
+
+    thread = Thread(target=experiment)
+    thread.start()
+    yield
+    thread.join()
+
+
+def test_a_game_is_played_by_calls_from_another_thread() -> None:
+    agent = Door(GameOptions())
+    with session(agent, episodes=2):
+        assert "You are @" in play(agent, "look", {}).text
+        call = {"turn": 1, "actions": ["right*10"]}
+        first = play(agent, "act", call)
+        assert first.data["over"]
+        assert play(agent, "act", call) is first
+        assert play(agent, "look", {}).data["turn"] == 3
+        assert play(agent, "give_up", {"turn": 3}).data["forfeit"]
+        with pytest.raises(GameOver):
+            play(agent, "look", {})
+    assert agent.agent_metrics().items() > {"forfeits": 1.0, "illegal": 0.0, "choices": 1.0}.items()
+    assert agent.game.record()["answers"] == [{"turn": 3, "answer": '{"turn": 3}'}]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says", "illegal"),
+    [
+        ({}, "turn is a whole number; the current turn is 1", 0),
+        ({"turn": True, "actions": ["left"]}, "turn is a whole number", 0),
+        ({"turn": "1", "actions": ["left"]}, "turn is a whole number", 0),
+        ({"turn": 7, "actions": ["left"]}, "the current turn is 1", 0),
+        ({"turn": 1}, "no list of actions was given", 1),
+        ({"turn": 1, "actions": "left"}, "no list of actions was given", 1),
+        ({"turn": 1, "actions": ["left"], "until": ["x"]}, "until is one of end, reward, change", 1),
+        ({"turn": 1, "actions": ["left", "up"]}, "'up' is no legal action; legal are: left, right", 1),
+    ],
+)
+def test_what_is_wrong_with_a_call_is_told_to_the_model(
+    arguments: dict[str, Any], says: str, illegal: int
+) -> None:
+    agent = Door(GameOptions())
+    agent.game.task(SkeletonEnvironment().env_init())
+    agent.game.start(SkeletonEnvironment().env_start())
+    answer = play(agent, "act", arguments)
+    assert answer.error
+    assert says in answer.text
+    assert agent.game.counts.illegal == illegal
+
+
+def test_a_call_is_answered_however_long_the_game_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_PATIENCE", 0.05)
+    agent, environment = Door(GameOptions()), Slow()
+    assert "has not begun" in play(agent, "look", {}).text
+    assert play(agent, "act", {"turn": 0, "actions": ["left"]}).error
+    with session(agent, environment):
+        while agent.game.phase is not Phase.CHOOSING:
+            play(agent, "look", {})
+        call = {"turn": 1, "actions": ["right*10"]}
+        for _ in range(2):
+            assert "still being played" in play(agent, "act", call).text
+        assert "still being played" in play(agent, "act", {"turn": 2, "actions": ["left"]}).text
+        environment.gate.set()
+        while "Repeat this call" in (answer := play(agent, "act", call)).text:
+            pass
+    assert answer.data["steps"] == 10
+
+
+def test_a_client_that_stays_silent_forfeits_when_time_is_limited() -> None:
+    agent = Door(GameOptions(seconds=0.05))
+    with session(agent):
+        pass
+    assert agent.game.counts.forfeits == 1
+
+
+def test_without_the_sdk_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match=r"glue-rl\[mcp\]"):
+        make_agent("mcp")

@@ -1,0 +1,153 @@
+"""The server of the Model Context Protocol and the SDK's own client: in memory, over HTTP and over stdio."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Awaitable, Callable
+from http.client import HTTPConnection
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import anyio
+import pytest
+
+from agents.language import server
+from agents.language.server import MCPAgent, make_server
+from env_server.toys import MinesEnvironment
+from glue.errors import ConfigError
+from tests import forked
+from tests.agents.language.test_calls import session
+from tests.agents.language.test_texts import MARIO_SEEN, MARIO_SPEC
+from tests.pages import DOCS, follow
+
+mcp = pytest.importorskip("mcp", reason="needs the SDK: pip install 'glue-rl[mcp]'")
+
+MODES = ["auto", "legacy"]
+WITH_SDK = "runs in the tests, where the SDK is installed"
+
+
+def agent_without_transport(monkeypatch: pytest.MonkeyPatch) -> MCPAgent:
+    """Return an agent that serves nobody yet."""
+    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
+    return MCPAgent()
+
+
+def talk(where: object, mode: str, *steps: Callable[[Any], Awaitable[None]]) -> None:
+    """Let a client take these steps, each over a connection of its own."""
+
+    async def run() -> None:
+        for step in steps:
+            async with mcp.Client(where() if callable(where) else where, mode=mode) as client:
+                await step(client)
+
+    anyio.run(run)
+
+
+async def call(client: Any, tool: str, **arguments: object) -> Any:
+    return await client.call_tool(tool, arguments)
+
+
+async def first_part(client: Any) -> None:
+    tools = (await client.list_tools()).tools
+    assert [tool.name for tool in tools] == ["look", "act", "give_up"]  # none resets
+    look = await call(client, "look")
+    assert "You are @ on a grid" in look.content[0].text
+    illegal = await call(client, "act", turn=1, actions=["fly"])
+    assert illegal.is_error
+    assert "legal are: up, down, left, right" in illegal.content[0].text
+    played = await call(client, "act", turn=2, actions=["right*3", "down"], until="end")
+    assert played.structured_content.items() > {"turn": 3, "reward": -4.0, "steps": 4, "over": False}.items()
+
+
+async def second_part(client: Any) -> None:
+    """A new connection goes on where the last one was."""
+    assert "You are @ on a grid" in client.instructions
+    again = await call(client, "act", turn=2, actions=["right*3", "down"], until="end")
+    assert again.structured_content["turn"] == 3
+    old = await call(client, "act", turn=1, actions=["up"])
+    assert old.is_error
+    assert "the current turn is 3" in old.content[0].text
+    assert "You are @" not in (await call(client, "look")).content[0].text
+    given = await call(client, "give_up", turn=3)
+    assert given.structured_content.items() > {"over": True, "forfeit": True}.items()
+    for tool, arguments in (("look", {}), ("act", {"turn": 4, "actions": ["up"]}), ("reset", {})):
+        with pytest.raises(mcp.MCPError):
+            await call(client, tool, **arguments)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_in_memory(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = agent_without_transport(monkeypatch)
+    with session(agent, MinesEnvironment()):
+        talk(make_server(agent), mode, first_part, second_part)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_over_http_but_not_through_a_page_of_another_site(
+    mode: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    agent = MCPAgent(port=0)
+    (url,) = (line.rpartition(" ")[2] for line in caplog.messages if "http://127.0.0.1:" in line)
+    with session(agent, MinesEnvironment()):
+        talk(url, mode, first_part, second_part)
+    port = int(url.split(":")[2].partition("/")[0])
+    with pytest.raises(ConfigError, match="cannot serve at port"):
+        MCPAgent(port=port)
+    for name, value in (("Origin", "http://192.0.2.1"), ("Host", "rebound.example")):
+        connection = HTTPConnection("127.0.0.1", port)
+        connection.request("POST", "/mcp", "{}", {"Content-Type": "application/json", name: value})
+        assert connection.getresponse().status in (403, 421)
+        connection.close()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_over_stdio_from_the_first_call_to_the_last(mode: str, tmp_path: Path) -> None:
+    """It answers before there is a hub, plays a recorded experiment, and says in the end that it is over."""
+    hub = f"ipc://{tmp_path}/hub"
+    program = {"command": str(Path(sys.executable).parent / "glue-agent"), "env": dict(os.environ)}
+    command = mcp.StdioServerParameters(**program, args=["mcp", "--hub", hub])
+    run = ["glue-experiment", "--env", "mines", "--episodes", "1", "--max-steps", "30", "--bind", hub]
+    run += ["--record", "run.traj", "--ask", "record"]
+    started: list[forked.Forked] = []
+
+    async def whole(client: Any) -> None:
+        assert "has not begun" in (await call(client, "look")).content[0].text
+        started.append(forked.start(*run, cwd=tmp_path, printed=[tmp_path / name for name in ("out", "err")]))
+        while not (await call(client, "look")).structured_content["turn"]:
+            pass
+        played = await call(client, "act", turn=1, actions=["right*4", "down"])
+        assert played.structured_content["steps"] == 5
+        assert (await call(client, "give_up", turn=2)).structured_content["over"]
+        assert started[0].wait(60) == 0
+        with pytest.raises(mcp.MCPError, match="the session has ended"):
+            await call(client, "look")
+
+    talk(lambda: mcp.stdio_client(command), mode, whole)
+    assert forked.run("glue-replay", "--check", "run.traj", cwd=tmp_path).returncode == 0
+
+
+def test_stdio_serves_one_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("threading.enumerate", lambda: [SimpleNamespace(name=server._STDIO)])
+    with pytest.raises(ConfigError, match="one session"):
+        MCPAgent()
+
+
+def test_mario_is_shown_as_an_image_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    agent = agent_without_transport(monkeypatch)
+    agent.game.task(MARIO_SPEC)
+    agent.game.start(MARIO_SEEN)
+
+    async def looks(client: Any) -> None:
+        assert len((await call(client, "look")).content) == 1
+        text, image = (await call(client, "look", image=True)).content
+        assert "mm Mario" in text.text
+        assert (image.mime_type, image.data[:4]) == ("image/png", "iVBO")
+
+    talk(make_server(agent), "auto", looks)
+
+
+def test_the_page_can_be_followed(tmp_path: Path) -> None:
+    printed = follow((DOCS / "language-models.md").read_text("utf-8"), tmp_path, WITH_SDK)
+    assert printed.startswith("1.0\n")
