@@ -48,7 +48,7 @@ class Child(Protocol):
 
 
 def start(command: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
-    """Start one of our commands, as in `view`, or modules as a child that ends when this process does.
+    """Start one of our commands, as in `view`, or a module, as a child that ends when this process does.
 
     Raises:
         ExperimentError: it cannot be started.
