@@ -34,8 +34,8 @@ _ENVELOPE: Final = ("metadata", "done", "reward")
 class Field(NamedTuple):
     """A schema's space, and the functions from a value of JSON to one of the space and back.
 
-    Both functions raise SimulatorError if a text, a choice or an object is not as the schema says; the codec of
-    the space checks numbers. `size` is the number of ints, doubles and chars.
+    Both functions raise SimulatorError if a text, a choice or an object is not as the schema says; the codec
+    of the space checks numbers. `size` is the number of ints, doubles and chars.
     """
 
     space: SpaceLike
