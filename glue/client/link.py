@@ -11,8 +11,8 @@ import platform
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
+from glue.client.sockets import Transport, open_transport
 from glue.client.target import OwnKey
-from glue.client.transport import Transport, open_transport
 from glue.console import LOG, one_line
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.hub.config import check_session
