@@ -212,15 +212,22 @@ class _Reader:
     def __init__(self, path: Path, data: bytes, sha256: str) -> None:
         self._path = path
         self._sha256 = sha256
-        self._lines = [line.rstrip() for line in data.decode("latin-1").rstrip().split("\n")]
+        text = data.decode("utf-8-sig", "replace")
+        self._lines = [line.rstrip() for line in text.rstrip().split("\n")]
         self._rows = self._lines[: self._lines.index("") if "" in self._lines else None]
         self._columns = len(self._rows[0]) if self._rows else 0
+        before, nul, _ = text.partition("\0")
+        if nul:
+            column = len(before) - before.rfind("\n") - 1
+            raise self._wrong(before.count("\n"), column, "expected plain text, not UTF-16 or the like")
         self._check_size()
         # The cells are made now that their number is checked.
         self._tiles = np.zeros((self._columns, ROWS), np.uint8)
         self._spawns = np.zeros((self._columns, ROWS), np.uint8)
         self._goal: tuple[int, int] | None = None
-        is_corpus = len(self._rows) <= _CORPUS_ROWS and {*_CORPUS, *"EBb"}.issuperset("".join(self._rows))
+        added = [match[3] for line in self._lines if (match := _ADDITION.fullmatch(line))]
+        used = "".join([*self._rows, *added])
+        is_corpus = len(self._rows) <= _CORPUS_ROWS and {*_CORPUS, *"EBb"}.issuperset(used)
         self._notation = "the Video Game Level Corpus" if is_corpus else "the Mario AI Framework"
         self._known_tiles = _CORPUS if is_corpus else _TILES
         self._known = {*_CORPUS, "E"} if is_corpus else {*_TILES, *_MONSTERS, *_PIPE, *_MARKS}

@@ -8,8 +8,9 @@ no truncation: an episode ends with `done`. A reward that is not stated is 0.
 from __future__ import annotations
 
 import json
+import sys
+from http.client import HTTPException
 from typing import TYPE_CHECKING, Annotated, Any, Final
-from urllib.error import URLError
 from urllib.parse import urlsplit
 from urllib.request import urlopen
 
@@ -105,8 +106,8 @@ class OpenEnvEnvironment(Environment):
         result = self._ask(client.step, sent)
         self._playing = not self._ended(result)
         reward = 0.0 if result.reward is None else result.reward
-        if not isinstance(reward, bool | int | float):
-            raise SimulatorError(f"{self.url}: a reward is a number, not {reward!r:.80}")
+        if not (isinstance(reward, bool | int | float) and abs(reward) <= sys.float_info.max):
+            raise SimulatorError(f"{self.url}: a reward is a finite number, not {reward!r:.80}")
         return Step(float(reward), self._observed(result), not self._playing)
 
     def env_cleanup(self) -> None:
@@ -129,6 +130,9 @@ class OpenEnvEnvironment(Environment):
     def _ask(self, call: Any, *args: Any, **options: Any) -> Any:
         try:
             return call(*args, **options)
+        except TimeoutError:
+            text = f"has not answered within {self._timeout:g} seconds, the option timeout"
+            raise SimulatorError(f"{self.url} {text}") from None
         except Exception as error:  # of its library, of websockets, of asyncio: whatever the server does
             raise SimulatorError(f"{self.url}: {described(error)}") from None
 
@@ -155,8 +159,12 @@ def environment_class(url: str) -> type[OpenEnvEnvironment]:
     Raises:
         ConfigError: `url` is not an address of a server, or OpenEnv is not installed.
     """
-    parts = urlsplit(url)
-    if parts.scheme not in ("http", "https") or not parts.hostname:
+    try:
+        parts = urlsplit(url)
+        usable = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
+    except ValueError:
+        usable = False
+    if not (usable and url.isascii() and url.isprintable() and " " not in url):
         raise ConfigError(
             f"an OpenEnv server is named by its URL, openenv:http://127.0.0.1:8000, not {url!r:.80}"
         )
@@ -186,7 +194,7 @@ def _schemas(url: str, timeout: float) -> dict[str, Any]:
     try:
         with urlopen(f"{url}/schema", timeout=timeout) as answer:
             text = answer.read(_MAX_SCHEMA + 1)
-    except (OSError, URLError, ValueError) as error:
+    except (OSError, HTTPException, ValueError) as error:
         raise ConfigError(f"no OpenEnv server answers at {url}: {described(error)}") from None
     try:
         found = json.loads(text)

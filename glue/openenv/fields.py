@@ -25,7 +25,7 @@ from glue.errors import ConfigError, SimulatorError
 from glue.gym.codec import INT32, SpaceLike
 
 _MAX_DEPTH: Final = 8
-_MAX_FIELDS: Final = 256
+_MAX_FIELDS: Final = 4096  # each item of a tuple is one; a task spec has no room for more
 _MAX_NUMBERS: Final = 2**20
 _ENVELOPE: Final = ("metadata", "done", "reward")
 """Properties of OpenEnv's base classes: beside the observation in a message, or not the environment's own."""
@@ -70,20 +70,28 @@ def read_schema(schema: Any, max_text: int) -> Field:
 class _Schemas:
     def __init__(self, definitions: Any, max_text: int) -> None:
         self._definitions = definitions if isinstance(definitions, dict) else {}
-        self._max_text = max_text
+        self._string, self._json = _string(max_text), _json(max_text)
         self._fields = 0
+        self._numbers = 0  # of all arrays
 
     def object(self, properties: Mapping[str, Any], depth: int) -> Field:
-        self._fields += len(properties)
-        if self._fields > _MAX_FIELDS:
-            raise ConfigError(f"the schema has more than {_MAX_FIELDS} fields")
         return _object({name: self._field(one, depth + 1) for name, one in properties.items()})
 
+    def _count(self, fields: int, numbers: int = 0) -> None:
+        """Count what is about to be made: a short schema may describe much."""
+        self._fields += fields
+        self._numbers += numbers
+        if self._fields > _MAX_FIELDS:
+            raise ConfigError(f"the schema has more than {_MAX_FIELDS} fields")
+        if self._numbers > _MAX_NUMBERS:
+            raise ConfigError(f"the schema describes more than {_MAX_NUMBERS} numbers and bytes")
+
     def _field(self, schema: Any, depth: int) -> Field:
+        self._count(1)
         while isinstance(schema, dict) and isinstance(schema.get("$ref"), str) and depth <= _MAX_DEPTH:
             schema, depth = self._definitions.get(schema["$ref"].rpartition("/")[2]), depth + 1
         if not isinstance(schema, dict) or depth > _MAX_DEPTH:
-            return _json(self._max_text)
+            return self._json
         kind = schema.get("type")
         values = [schema["const"]] if "const" in schema else schema.get("enum")
         properties = schema.get("properties")
@@ -92,18 +100,14 @@ class _Schemas:
         if kind == "object" and isinstance(properties, dict) and properties:
             return self.object(properties, depth)
         if kind == "array":
-            return self._array(schema, depth) or _json(self._max_text)
+            return self._array(schema, depth) or self._json
         if kind == "integer":
-            return _integer(schema) or _json(self._max_text)
+            return _integer(schema) or self._json
         if kind == "number":
             return _number(schema)
-        return (
-            _choice([False, True])
-            if kind == "boolean"
-            else _string(self._max_text)
-            if kind == "string"
-            else (_json(self._max_text))
-        )
+        if kind == "boolean":
+            return _choice([False, True])
+        return self._string if kind == "string" else self._json
 
     def _array(self, schema: Mapping[str, Any], depth: int) -> Field | None:
         """Return the field of an array with a fixed number of items; None if it is not stated or large."""
@@ -112,12 +116,18 @@ class _Schemas:
             return None
         if isinstance(parts, list) and parts:
             return _tuple([self._field(part, depth + 1) for part in parts]) if len(parts) == count else None
+        before = self._fields
         item = self._field(schema.get("items"), depth + 1)
         if item.size * count > _MAX_NUMBERS:
             return None
         if isinstance(item.space, spaces.Box) and item.space.dtype != np.uint8:
+            self._count(0, item.size * (count - 1))
             low, high = (np.tile(end, (count, *(1,) * end.ndim)) for end in (item.space.low, item.space.high))
             return _numbers(spaces.Box(low, high, dtype=item.space.dtype.type), item.size * count)
+        fields = (self._fields - before) * (count - 1)
+        if self._fields + fields > _MAX_FIELDS:
+            return None
+        self._count(fields)
         return _tuple([item] * count)
 
 

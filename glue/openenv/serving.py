@@ -101,6 +101,8 @@ def application(
         env_name=name,
         mode="simulation",
     )
+    # Sessions over MCP have no connection whose end would end them, and environments of ours have no tools.
+    app.router.routes[:] = [route for route in app.routes if getattr(route, "path", None) != "/mcp"]
     return _Guard(app, any_host, idle)
 
 
@@ -210,7 +212,7 @@ def _from_json(space: SpaceLike, value: Any) -> Any:
 
 
 class _Guard:
-    """Refuses requests of other sites, and closes connections that are in no episode for too long.
+    """Refuses requests of other sites and large ones, and closes connections long in no episode.
 
     The server closes a connection whose client no longer answers pings. A client that thinks answers them,
     and is not hurried.
@@ -225,6 +227,8 @@ class _Guard:
         if scope["type"] == "lifespan" or self._admits(scope):
             if scope["type"] == "websocket":
                 receive, send = _idle_bounded(receive, send, self._idle)
+            elif scope["type"] == "http":
+                receive = _size_bounded(receive)
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket":
             await receive()
@@ -237,9 +241,25 @@ class _Guard:
         headers = dict(scope["headers"])
         host = headers.get(b"host", b"").decode("latin-1")
         origin = headers.get(b"origin")
-        if origin is not None and urlsplit(origin.decode("latin-1")).netloc != host:
+        try:
+            if origin is not None and urlsplit(origin.decode("latin-1")).netloc != host:
+                return False
+            return self._any_host or urlsplit(f"//{host}").hostname in ("127.0.0.1", "::1", "localhost")
+        except ValueError:  # brackets without an address in them
             return False
-        return self._any_host or urlsplit(f"//{host}").hostname in ("127.0.0.1", "::1", "localhost")
+
+
+def _size_bounded(receive: _Receive) -> _Receive:
+    """Return a request that breaks off where it is larger than a message of a connection may be."""
+    left = _MAX_MESSAGE
+
+    async def receiving() -> _Message:
+        nonlocal left
+        message = await receive()
+        left -= len(message.get("body", b""))
+        return message if left >= 0 else {"type": "http.disconnect"}
+
+    return receiving
 
 
 def _idle_bounded(receive: _Receive, send: _Send, idle: float) -> tuple[_Receive, _Send]:

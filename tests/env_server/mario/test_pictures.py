@@ -154,7 +154,8 @@ def test_what_the_characters_stand_for(file: Path) -> None:
         (f"{PLAIN}XX", 3, 3, "expected 20 columns, not 2"),
         (f"{PLAIN}{'-' * 21}", 3, 21, "expected 20 columns, not 21"),
         (f"{GROUND}\n" * 16, 1, 1, "expected - in a row above the lowest 15"),
-        (PLAIN + "XXé" + "X" * 16, 3, 3, "expected one of"),
+        (PLAIN + "XXé" + "X" * 17, 3, 3, "not 'é'"),
+        (PLAIN + "XX\0" + "X" * 16, 3, 3, "expected plain text, not UTF-16"),
         (PLAIN + "F" + "-z" + "X" * 17, 3, 3, "not 'z'"),
         (PLAIN + "XB" + "X" * 18, 3, 2, "B is a cannon, and the competition of 2009 had none"),
         (PLAIN + "1" + "X" * 19, 3, 1, "a hidden mushroom that gives a life"),
@@ -174,6 +175,12 @@ def test_what_is_refused_and_where(text: str, line: int, column: int, expected: 
     message = str(caught.value)
     assert message.startswith(f"{file}, line {line}, column {column}: ")
     assert expected in message
+
+
+def test_what_editors_add_is_no_part_of_a_picture(file: Path) -> None:
+    expected = cells(level_of(file, f"{PLAIN}\ntype 1\n9 3 g\n"))  # the goomba makes the notation ours
+    file.write_bytes(f"\ufeff{PLAIN}\ntype 1 \n9 3 g".replace("\n", "\r\n").encode())
+    assert cells(read_picture(file).levels()[0]) == expected
 
 
 def test_files_that_are_not_read(file: Path) -> None:

@@ -101,8 +101,13 @@ def test_text_that_is_no_json_is_refused_as_a_value() -> None:
         field.write(value)
 
 
-def _nested(depth: int) -> dict[str, Any]:
-    leaf: dict[str, Any] = {"type": "boolean"}
+def _hundred(name: str) -> dict[str, Any]:
+    items = [{"$ref": f"#/$defs/{name}"}] * 100
+    return {"type": "array", "minItems": 100, "maxItems": 100, "prefixItems": items}
+
+
+def _nested(depth: int, kind: str = "boolean") -> dict[str, Any]:
+    leaf: dict[str, Any] = {"type": kind}
     for _ in range(depth):
         leaf = {"type": "array", "minItems": 200, "maxItems": 200, "items": leaf}
     return leaf
@@ -136,11 +141,13 @@ def test_schema_without_a_fixed_size_of_bounded_memory_is_a_text(schema: Any) ->
         (None, "JSON schema of an object"),
         ({"properties": {}}, "no fields"),
         ({"properties": {"reward": {"type": "number"}}}, "no fields"),
-        ({"properties": {str(i): {} for i in range(300)}}, "more than 256 fields"),
-        ({"properties": {str(i): _nested(2) for i in range(30)}}, "describes 1200000 numbers"),
+        ({"properties": {str(i): {} for i in range(5000)}}, "more than 4096 fields"),
+        ({"$defs": {"A": _hundred("B"), "B": _hundred("C")}, "properties": {"a": _hundred("A")}}, "4096 f"),
+        ({"properties": {str(i): _nested(2, "number") for i in range(30)}}, "more than 1048576 numbers"),
+        ({"properties": {str(i): {"type": "string"} for i in range(2**9)}}, "describes 2097152 numbers"),
         ({"properties": {"n": {"type": "number", "minimum": 2, "maximum": 1}}}, "no legal value"),
     ],
 )
 def test_schema_that_does_not_fit_is_refused(schema: Any, expected: str) -> None:
     with pytest.raises(ConfigError, match=expected):
-        read_schema(schema, 8)
+        read_schema(schema, 4096)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import signal
 import socket
@@ -28,6 +29,8 @@ from openenv.core.env_server.types import State
 from openenv.core.generic_client import GenericEnvClient
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
+from websockets.sync.server import ServerConnection
+from websockets.sync.server import serve as serve_websockets
 
 import glue
 import glue.gym
@@ -159,7 +162,8 @@ def test_what_a_server_refuses_is_an_error_in_its_words(echo: str) -> None:
 def test_server_that_is_none_is_refused_in_one_line() -> None:
     with pytest.raises(ConfigError, match=r"no OpenEnv server answers at http://127\.0\.0\.1:1: "):
         glue.make("openenv:http://127.0.0.1:1")
-    for url in ("127.0.0.1:8000", "file:///etc/passwd", "ws://127.0.0.1"):
+    strange = ("http://[::1", "http://127.0.0.1:x", "http://a b", "http://127.0.0.1/\n")
+    for url in ("127.0.0.1:8000", "file:///etc/passwd", "ws://127.0.0.1", *strange):
         with pytest.raises(ConfigError, match="named by its URL"):
             glue.make(f"openenv:{url}")
 
@@ -168,15 +172,19 @@ def test_server_that_is_none_is_refused_in_one_line() -> None:
     ("body", "expected"),
     [
         (b"<html>", "is not the JSON"),
+        (None, "no OpenEnv server answers at .*BadStatusLine"),
         (b"[" * 10**5, "is not the JSON"),
         (b" " * (2**20 + 1), "is not the JSON"),
         (b"{}", "expected the JSON schema of an object"),
         (b'{"action": {"properties": {"a": {}}}, "observation": {"properties": {}}}', "no fields"),
     ],
 )
-def test_hostile_schema_is_refused_in_one_line(body: bytes, expected: str) -> None:
+def test_hostile_schema_is_refused_in_one_line(body: bytes | None, expected: str) -> None:
     class Answer(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
+            if body is None:  # a server of something else
+                self.wfile.write(b"SSH-2.0\r\n")
+                return
             self.send_response(200)
             self.end_headers()
             self.wfile.write(body)
@@ -188,6 +196,38 @@ def test_hostile_schema_is_refused_in_one_line(body: bytes, expected: str) -> No
         threading.Thread(target=server.handle_request).start()
         with pytest.raises(ConfigError, match=expected):
             glue.make(f"openenv:http://127.0.0.1:{server.server_address[1]}")
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        ({"reward": math.inf}, "a reward is a finite number, not inf"),
+        ({"reward": math.nan}, "a reward is a finite number, not nan"),
+        ({"reward": 10**400}, "a reward is a finite number, not 1000"),
+        ({"done": "true"}, "done is true or false, not 'true'"),
+        (None, "has not answered within 0.5 seconds, the option timeout"),
+    ],
+)
+def test_answer_that_is_no_step_is_refused(answer: dict[str, Any] | None, expected: str, echo: str) -> None:
+    def play(client: ServerConnection) -> None:
+        for message in client:
+            value = {"echo": "", "side": "left", "steps": []}
+            data: dict[str, Any] = {"observation": value, "reward": 1.0, "done": False}
+            if json.loads(message)["type"] == "step":
+                if answer is None:
+                    continue
+                data |= answer
+            client.send(json.dumps({"type": "observation", "data": data}))
+
+    env = glue.make(f"openenv:{echo}", max_text=32, timeout=60.0 if answer else 0.5)
+    with serve_websockets(play, "127.0.0.1", 0) as server:
+        threading.Thread(target=server.serve_forever).start()
+        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"  # type: ignore[attr-defined]
+        env.env_init()
+        env.env_start()
+        with pytest.raises(SimulatorError, match=expected):
+            step(env, 0, "")
+        env.env_cleanup()
 
 
 def test_our_environment_plays_with_openenvs_client_as_it_plays_here(mines: str) -> None:
@@ -271,11 +311,21 @@ def test_command_serves_until_it_is_interrupted() -> None:
 
 
 def test_page_of_another_site_cannot_play(mines: str) -> None:
-    for headers in ({"Origin": "http://example.org"}, {"Host": "example.org"}):
+    strange = ({"Host": "["}, {"Origin": "http://["})
+    for headers in ({"Origin": "http://example.org"}, {"Host": "example.org"}, *strange):
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(urllib.request.Request(f"{mines}/schema", headers=headers))
     with pytest.raises(InvalidStatus, match="403"):
         connect(f"{mines.replace('http', 'ws')}/ws", origin="http://example.org")
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "status"), [("/mcp", b"{}", "404"), ("/reset", b" " * (2**20 + 1), "400")]
+)
+def test_request_that_would_last_is_refused(path: str, body: bytes, status: str, mines: str) -> None:
+    headers = {"Content-Type": "application/json"}
+    with pytest.raises(urllib.error.HTTPError, match=status):
+        urllib.request.urlopen(urllib.request.Request(mines + path, body, headers))
 
 
 @pytest.mark.parametrize(
