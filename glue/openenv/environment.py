@@ -47,7 +47,9 @@ class OpenEnvEnvironment(Environment):
             int, Option("bytes of each field without a fixed size, such as a string", low=1, high=2**16)
         ] = 4096,
         reset: Annotated[str, Option("parameters of each reset besides the seed: a JSON object")] = "",
-        timeout: Annotated[float, Option("time to wait for an answer", low=0.1, unit="seconds")] = 60.0,
+        timeout: Annotated[
+            float, Option("time to wait for an answer", low=0.1, high=86_400, unit="seconds")
+        ] = 60.0,
     ) -> None:
         self._timeout = timeout
         self._reset = _parameters(reset)

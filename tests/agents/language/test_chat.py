@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -89,6 +90,7 @@ def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
         ("act: right", (["right"], "end")),
         ("I go left.\nact: left\nNo:\n Act: up, down*3 until reward", (["up", "down*3"], "reward")),
         ("`ACT: 1 0 1, stay*2`\n", (["1 0 1", "stay*2"], "end")),
+        ("**act:** right*2\n", (["right*2"], "end")),
         ("act: right UNTIL never", (["right UNTIL never"], "end")),
         ("act: right until never", (["right"], "never")),
         ("I am stuck.\nGive up.", ([], "end")),
@@ -279,5 +281,8 @@ def test_a_key_is_sent_to_its_endpoint_and_shown_nowhere(monkeypatch: pytest.Mon
         glue.rl_episode()
         assert SECRET not in glue.rl_agent_message("record")
     assert sent == [f"Bearer {SECRET}"]
+    for unbounded in ("timeout", "seconds", "temperature"):
+        with pytest.raises(ConfigError, match=f"option {unbounded} must be from .* not inf"):
+            make_agent("chat", url="http://127.0.0.1/v1", model="m", **{unbounded: math.inf})
     with pytest.raises(ConfigError, match="in clear text"):
         make_agent("chat", url="http://192.0.2.1/v1", model="m")

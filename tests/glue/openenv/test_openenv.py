@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import re
@@ -35,7 +36,7 @@ from websockets.sync.server import serve as serve_websockets
 import glue
 import glue.gym
 from glue.errors import ConfigError, SimulatorError
-from glue.openenv.serving import application, serve
+from glue.openenv.serving import _idle_bounded, application, serve
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Step
 from tests.pages import DOCS, follow
@@ -317,6 +318,14 @@ def test_page_of_another_site_cannot_play(mines: str) -> None:
             urllib.request.urlopen(urllib.request.Request(f"{mines}/schema", headers=headers))
     with pytest.raises(InvalidStatus, match="403"):
         connect(f"{mines.replace('http', 'ws')}/ws", origin="http://example.org")
+
+
+def test_client_that_leaves_before_its_answer_is_no_error() -> None:
+    async def gone(_: Any = None) -> Any:
+        raise OSError
+
+    _, send = _idle_bounded(gone, gone, 1.0)
+    asyncio.run(send({"type": "websocket.send", "text": '{"type": "state"}'}))
 
 
 @pytest.mark.parametrize(
