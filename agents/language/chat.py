@@ -20,7 +20,7 @@ _WAITS: Final = (1.0, 4.0)
 
 _MOST_LETTERS: Final = 16_000  # of an answer that are read and shown again
 _MOST_TOKENS: Final = 2**31
-_DRESS: Final = " \t`_*.>"  # around a line, in which models dress up what they write
+_DRESS: Final = " \t`*_>"  # around a line, in which models dress up what they write
 
 _HOW: Final = f"""Each message shows how your last choice went and what you see. End your answer with one line
 act: ACTION, ACTION, ...
@@ -59,8 +59,7 @@ class ChatAgent(LanguageAgent):
     def __init__(self, **options: Value | None) -> None:
         super().__init__(Options(**options))  # type: ignore[arg-type]  # checked by `glue.options.build`
         if not self.options.url or not self.options.model:
-            text = "the agent chat needs the address of an endpoint, and the name of a model there"
-            raise ConfigError(text, settings=("url", "model"))
+            raise ConfigError("chat needs an endpoint's address and a model there", settings=("url", "model"))
         self._endpoint = Endpoint(self.options.url, os.environ.get(KEY_VARIABLE) or None)
         self._history: deque[dict[str, str]] = deque(maxlen=2 * self.options.memory)
 
@@ -89,14 +88,13 @@ class ChatAgent(LanguageAgent):
 
     def _ask(self, messages: list[dict[str, str]]) -> Reply | None:
         """Return the model's answer; None if the time of the episode is used up."""
-        options = self.options
-        body = {"model": options.model, "messages": messages, "max_tokens": options.max_tokens}
-        sampling = {"temperature": options.temperature, "top_p": options.top_p}
+        body = {"model": self.options.model, "messages": messages, "max_tokens": self.options.max_tokens}
+        sampling = {"temperature": self.options.temperature, "top_p": self.options.top_p}
         body |= {name: value for name, value in sampling.items() if value is not None}
         waits = iter(_WAITS)
         while (left := self.game.time_left) > 0:
             try:
-                return read_reply(self._endpoint.post(body, min(options.timeout, left)))
+                return read_reply(self._endpoint.post(body, min(self.options.timeout, left)))
             except EndpointBusy as error:
                 if (wait := next(waits, None)) is None:
                     raise
@@ -138,7 +136,7 @@ def read_choice(text: str) -> tuple[list[str] | None, str]:
     The actions are None if there is no such line.
     """
     for line in reversed(text.splitlines()):
-        plain = line.strip(_DRESS)
+        plain = line.strip(_DRESS).rstrip(".")
         if plain.lower() == "give up":
             return [], Until.END
         if plain.lower().startswith("act:"):

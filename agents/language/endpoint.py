@@ -52,13 +52,14 @@ class Endpoint:
         except ValueError:
             usable = False
         if not (usable and self._host):
-            text = (
-                "url is an address such as http://127.0.0.1:8080/v1, without a password or parameters, as it "
+            text = f"without a password or parameters, as it is recorded (a key is given by {KEY_VARIABLE})"
+            raise ConfigError(
+                f"url is an address such as http://127.0.0.1:8080/v1, {text}", settings=("url",)
             )
-            raise ConfigError(f"{text}is recorded (a key is given by {KEY_VARIABLE})", settings=("url",))
         if key is not None and parts.scheme == "http" and self._host not in _LOOPBACK:
-            text = f"the key would travel to {self._host} in clear text: use https, or unset {KEY_VARIABLE}"
-            raise ConfigError(text, settings=("url",))
+            raise ConfigError("the key would travel in clear text: use https", settings=("url",))
+        if not (key or "").isascii() or not (key or "").isprintable():
+            raise ConfigError(f"{KEY_VARIABLE} is no key: it has letters that cannot be sent")
         self._url = url if url.endswith(_PATH) else f"{url.rstrip('/')}{_PATH}"
         self._kind = _KINDS[parts.scheme]
         self._headers = {"Content-Type": "application/json", "Connection": "close"}
@@ -84,9 +85,12 @@ class Endpoint:
         try:
             connection.connect()
             sockets.append(connection.sock)
-            connection.request("POST", urlsplit(self._url).path, json.dumps(body).encode(), self._headers)
-            with connection.getresponse() as response:
-                data = response.read(_MOST_BYTES + 1)
+            if not late.is_set():
+                connection.request("POST", urlsplit(self._url).path, json.dumps(body).encode(), self._headers)
+                with connection.getresponse() as response:
+                    data = response.read(_MOST_BYTES + 1)
+            if late.is_set():
+                raise TimeoutError
         except (OSError, ValueError, http.client.HTTPException) as error:
             if not (late.is_set() or isinstance(error, TimeoutError)):
                 why = f"cannot be asked: {error!r}"
@@ -94,8 +98,6 @@ class Endpoint:
         finally:
             timer.cancel()
             connection.close()
-        if late.is_set():
-            raise EndpointBusy(self._failed(why))
         if len(data) > _MOST_BYTES:
             raise EndpointFailed(self._failed(f"has sent more than {_MOST_BYTES:,} bytes"))
         status, words = response.status, data.decode("utf-8", "replace")

@@ -36,7 +36,7 @@ _PATIENCE: Final = 3.0
 """Seconds for which a call waits for the game; then it is answered all the same."""
 
 _GRACE: Final = 2.0
-"""Seconds for which HTTP is served after the session, so that the last answers arrive."""
+"""Seconds for which the last answers may arrive, over HTTP or after a signal."""
 
 _HOW: Final = """Call look first, and in each new episode. act takes a choice for the current turn, and waits
 until it has been played; a call that was lost is repeated as it was. give_up ends the episode with what
@@ -87,7 +87,6 @@ class MCPAgent(LanguageAgent):
             raise ConfigError("the agent mcp needs the protocol's SDK: pip install 'glue-rl[mcp]'")
         self.instructed: list[Any] = []
         """Objects of the SDK whose `instructions` a client is shown; guarded by `changed`."""
-        self._leaving = False
         port = self.options.port
         if port is None and any(thread.name == _STDIO for thread in threading.enumerate()):
             raise ConfigError("stdio serves one session: give others a port", settings=("port",))
@@ -121,7 +120,7 @@ class MCPAgent(LanguageAgent):
                 await server.run(read, write, options)
 
         asyncio.run(serve())
-        if not self._leaving:
+        if threading.main_thread().is_alive():
             LOG.info("the client has closed standard input: leaving")
             os.kill(os.getpid(), signal.SIGTERM)
 
@@ -133,10 +132,10 @@ class MCPAgent(LanguageAgent):
         asyncio.run(uvicorn.Server(config).serve(sockets=[listening]))
 
     def _leave(self) -> None:
-        """Answer a client's last calls, too, before the process ends: that nothing is left to play."""
-        self._leaving = True
+        """Answer a client's last calls, too; after a whole session it may take its time to call again."""
+        whole = self.game.phase is Phase.CLOSED and self.options.port is None
         self.agent_cleanup()
-        self._thread.join(None if self.options.port is None else _GRACE)
+        self._thread.join(None if whole else _GRACE)
 
 
 def play(agent: LanguageAgent, tool: str, arguments: Mapping[str, Any]) -> Answer:

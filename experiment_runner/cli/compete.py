@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from experiment_runner.cli.options import naming_out
+from experiment_runner.cli.options import DIRECTORY, naming_out
 from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
 from glue.console import say
@@ -27,10 +27,9 @@ if TYPE_CHECKING:
     from experiment_runner.store.results import Results
 
 _READ = click.Path(path_type=Path, dir_okay=False)
-_FOLDER = click.Path(path_type=Path, file_okay=False)
 
 _FILE = click.argument("file", type=_READ, metavar="FILE")
-_DIRECTORY = click.argument("directory", type=_FOLDER, metavar="DIR")
+_DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
 
 def _reason(context: click.Context, option: click.Parameter, text: str) -> str:
@@ -67,7 +66,7 @@ def compete() -> None:
 @_FILE
 @click.option(
     "--out",
-    type=_FOLDER,
+    type=DIRECTORY,
     default=Path("check"),
     show_default=True,
     metavar="DIR",
@@ -93,7 +92,7 @@ def check(file: Path, out: Path) -> int:
 @_FILE
 @click.option(
     "--out",
-    type=_FOLDER,
+    type=DIRECTORY,
     required=True,
     metavar="DIR",
     help="Directory of the run; if it contains a run of this competition, that run continues.",
@@ -106,7 +105,7 @@ def check(file: Path, out: Path) -> int:
 )
 @click.option(
     "--keys",
-    type=_FOLDER,
+    type=DIRECTORY,
     metavar="DIR",
     help="Directory with the hub's pair of keys, for entrants who join with theirs at --bind; see glue-keys.",
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
@@ -77,11 +76,17 @@ def parse(text: str) -> dict[str, Any]:
         SettingError: the text is not TOML, or is nested too deeply.
     """
     try:
-        return tomllib.loads(text)
+        return _loads(text)
     except RecursionError:
         raise SettingError("this TOML is nested too deeply") from None
     except ValueError as error:  # also a number of thousands of digits
         raise SettingError(f"this is not TOML: {error}") from error
+
+
+def _loads(text: str) -> dict[str, Any]:
+    import tomllib  # not needed to show the results of a run
+
+    return tomllib.loads(text)
 
 
 @contextmanager
@@ -194,8 +199,8 @@ def line_of(text: str, keys: tuple[str, ...]) -> int | None:
 def _path(fragment: str) -> tuple[str, ...]:
     """Return the keys of a table's heading or of `key=0`."""
     try:
-        table: Any = tomllib.loads(fragment)
-    except tomllib.TOMLDecodeError:
+        table: Any = _loads(fragment)
+    except ValueError:
         return ()
     keys = []
     while isinstance(table, (dict, list)) and table:

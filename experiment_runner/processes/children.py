@@ -1,8 +1,8 @@
 """Child processes: starting and ending them, and restarting players that are killed.
 
-    python -P -m experiment_runner.processes.children COMMAND ARGUMENTS...
+    python -P -m experiment_runner.processes.children PROGRAM ARGUMENTS...
 
-runs a command, as `python -m glue_rl` does, that ends with the process that started it.
+runs a command or a module, as `python -m glue_rl` does, that ends with the process that started it.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ class Child(Protocol):
     def kill(self) -> None: ...
 
 
-def start(command: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
-    """Start one of our commands, as in `view`, or modules as a child that ends when this process does.
+def start(program: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+    """Start a command, as in `view`, or a module as a child that ends when this process does.
 
     Raises:
         ExperimentError: it cannot be started.
     """
     try:
-        return spawn("experiment_runner.processes.children", [command, *arguments], pass_fds=pass_fds)
+        return spawn("experiment_runner.processes.children", [program, *arguments], pass_fds=pass_fds)
     except OSError as error:
-        raise ExperimentError(f"cannot start {' '.join([command, *arguments])}: {error}") from error
+        raise ExperimentError(f"cannot start {' '.join([program, *arguments])}: {error}") from error
 
 
 def end(process: Child, seconds: float = FAREWELL_SECONDS) -> None:
@@ -186,7 +186,7 @@ def become_child() -> None:
 
 
 def main() -> None:
-    """Run a command that ends with its parent."""
+    """Run a command or a module that ends with its parent."""
     become_child()
     runpy.run_module("glue_rl", run_name="__main__", alter_sys=True)
 

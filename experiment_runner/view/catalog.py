@@ -38,27 +38,30 @@ from glue.console import one_line, printable
 from glue.errors import ExperimentError
 from glue.files import read_regular
 
-_ID_LETTERS: Final = 12
-_MOST_NAMES: Final = 20  # of agents, environments and values of an option in a line
-_MOST_OPTIONS: Final = 50  # that are listed
-_LAST: Final = 100  # episodes of a trial, of which the mean return is shown
-_MOST_TRIALS: Final = 500  # whose returns are read
 NOTES_LIMIT: Final = 16_384
 """Maximum size of a run's notes in bytes."""
 
-_MOST_TEXT: Final = 4000
+_MOST_NOTE: Final = 4000  # characters
 _MOST_TAGS: Final = 20
-_MOST_TAG: Final = 40
-_MOST_ROWS: Final = 200  # voids and events, the newest; answers
-_MOST_ANSWER: Final = 2000  # of an answer
-_MOST_RECORDS: Final = 1000
-_MOST_FILE: Final = 2**20  # of a text file
+_MOST_TAG: Final = 40  # characters
+
+_ID_LETTERS: Final = 12
+
+# Of the table
+_MOST_NAMES: Final = 20  # of agents, environments and values of an option in a line
+_MOST_OPTIONS: Final = 50  # that are listed
+_LAST: Final = 100  # episodes of a trial, of which the mean return is shown
+_MOST_RETURNS: Final = 500  # trials whose returns are read
 _RATE_SECONDS: Final = 60.0  # over which the rate of a run is taken
 _LEAST_RATE_SECONDS: Final = 2.0
-
-
 _WATCH_SECONDS: Final = 1.0
 _REST: Final = 20  # seconds between scans for runs, for each second that a scan takes
+
+# Of a run in full
+_MOST_ROWS: Final = 200  # voids and events, the newest; answers
+_MOST_TRIALS: Final = 1000
+_MOST_ANSWER: Final = 2000  # characters
+_MOST_BYTES: Final = 2**20  # of a text file
 
 
 class Entry(NamedTuple):
@@ -224,7 +227,7 @@ def _summary(results: Results) -> dict[str, Any]:
 def _returns(results: Results, specs: Sequence[TrialSpec]) -> list[float]:
     """Return the mean return of each setting: of the last episodes of its trials so far."""
     found: dict[str, list[float]] = {}
-    for spec in specs[:_MOST_TRIALS]:
+    for spec in specs[:_MOST_RETURNS]:
         last = results.totals(spec.id, _LAST)
         if last.episodes and math.isfinite(last.sum_of_returns):
             found.setdefault(repr((spec.agent, spec.environment)), []).append(
@@ -264,9 +267,9 @@ def checked_notes(content: bytes) -> dict[str, Any]:
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         raise ExperimentError('notes are JSON: {"note": "text", "tags": ["word"]}') from None
     tags = [tag for tag in dict.fromkeys(tags) if tag]
-    if len(note) > _MOST_TEXT or len(tags) > _MOST_TAGS or any(len(tag) > _MOST_TAG for tag in tags):
+    if len(note) > _MOST_NOTE or len(tags) > _MOST_TAGS or any(len(tag) > _MOST_TAG for tag in tags):
         raise ExperimentError(
-            f"a note has at most {_MOST_TEXT} characters, and a run {_MOST_TAGS} tags of {_MOST_TAG}"
+            f"a note has at most {_MOST_NOTE} characters, and a run {_MOST_TAGS} tags of {_MOST_TAG}"
         )
     return {"note": note, "tags": tags}
 
@@ -305,7 +308,7 @@ def run_in_full(directory: Path) -> dict[str, Any]:
     for name, most in (("voids", _MOST_ROWS), ("events", _MOST_ROWS)):
         found[name + "_left_out"] = max(0, len(found[name]) - most)
         found[name] = found[name][-most:]
-    for name, most in (("trial_records", _MOST_RECORDS), ("answers", _MOST_ROWS)):
+    for name, most in (("trial_records", _MOST_TRIALS), ("answers", _MOST_ROWS)):
         found[name + "_left_out"] = max(0, len(found[name]) - most)
         found[name] = found[name][:most]
     for answered in found["answers"]:
@@ -353,7 +356,7 @@ def _finite(text: str) -> float | str:
 def _text(path: Path) -> str:
     """Return the contents of a text file; empty if it cannot be read, or should not."""
     try:
-        return read_regular(path, _MOST_FILE).decode("utf-8", "replace")
+        return read_regular(path, _MOST_BYTES).decode("utf-8", "replace")
     except OSError:
         return ""
 

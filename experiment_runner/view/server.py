@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import resource
 import secrets
 import socket
@@ -161,27 +162,20 @@ def _room() -> int:
 
 
 def _listen(host: str, port: int | None) -> socket.socket:
-    wanted = (DEFAULT_PORT, 0) if port is None else (port,)
-    for number in wanted:
+    for number in (DEFAULT_PORT, 0) if port is None else (port,):
         try:
-            family, kind, protocol, _, where = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
-            listening = socket.socket(family, kind, protocol)
-        except OSError as error:
+            family, *_, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
+            both = family is socket.AF_INET6 and socket.has_dualstack_ipv6()
+            return socket.create_server(address, family=family, backlog=_BACKLOG, dualstack_ipv6=both)
+        except socket.gaierror as error:
             raise ConfigError(f"cannot listen at {host}: {error.strerror}") from error
-        try:
-            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listening.bind(where)
-            listening.listen(_BACKLOG)
         except OSError as error:
-            listening.close()
-            if number == wanted[-1]:
-                raise ConfigError(
-                    f"cannot listen at {host}, port {number}: {error.strerror}: choose another port",
-                    settings=("port",),
-                ) from error
-            continue
-        return listening
-    raise AssertionError("unreachable")
+            failure = error
+    # create_server adds the address to the reason
+    raise ConfigError(
+        f"cannot listen at {host}, port {number}: {os.strerror(failure.errno or 0)}: choose another port",
+        settings=("port",),
+    ) from failure
 
 
 def _url(host: str, port: int, proxy: str, token: str) -> str:

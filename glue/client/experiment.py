@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from glue.client.bodies import READ, write
 from glue.client.link import Link
+from glue.client.sockets import Transport
 from glue.client.target import Target, find_target
-from glue.client.transport import Transport
 from glue.console import LOG, one_line
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported

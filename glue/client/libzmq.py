@@ -63,7 +63,6 @@ class DealerTransport:
 
     Attributes:
         connected: whether there is a connection, as far as `receive` has noticed.
-        connections: number of connections so far; the hub has to be greeted over each.
 
     Raises:
         ConfigError: libzmq refuses the address.
@@ -73,7 +72,7 @@ class DealerTransport:
         self, context: Context | None, url: str, timeout: float, max_frame: int, key: OwnKey | None = None
     ) -> None:
         self.connected: bool = False
-        self.connections: int = 0
+        self._connections = 0
         self._url = url
         self._key = key
         self._wait_ms = -1
@@ -148,7 +147,7 @@ class DealerTransport:
         flags = 0
         if not self.connected:
             self._poller.poll(self._wait_ms)
-            self.notice_connections()
+            self._notice_connections()
             if self.connected:
                 return None
             flags = _AT_ONCE
@@ -160,21 +159,27 @@ class DealerTransport:
                 frames.append(frame.bytes)
             return frames
         except zmq.Again:
-            self.notice_connections()
+            self._notice_connections()
             return None
 
-    def notice_connections(self) -> None:
-        """Bring `connected` and `connections` up to date.
+    @property
+    def connections(self) -> int:
+        """Number of connections so far; the hub has to be greeted over each.
 
         Raises:
             Refused: hub and peer cannot agree on how to authenticate, or the hub does not know the key.
         """
+        self._notice_connections()
+        return self._connections
+
+    def _notice_connections(self) -> None:
+        """Bring `connected` and the number of connections up to date."""
         try:
             while True:
                 message = recv_monitor_message(self._monitor, _AT_ONCE)
                 event = message["event"]
                 self.connected = event == zmq.Event.HANDSHAKE_SUCCEEDED
-                self.connections += self.connected
+                self._connections += self.connected
                 if not self.connected and event != zmq.Event.DISCONNECTED:
                     self._handshake_failed(event, message["value"])
         except zmq.Again:
@@ -194,7 +199,7 @@ class DealerTransport:
         if event == zmq.Event.HANDSHAKE_FAILED_AUTH:
             unknown, wrong = unknown_key(key, self._url), wrong_hub_key(key, self._url)
             raise Refused(f"{unknown}; or perhaps {wrong}", settings=unknown.settings + wrong.settings)
-        if event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL and not self.connections:
+        if event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL and not self._connections:
             raise wrong_hub_key(key, self._url)
 
     def close(self, linger: float | None = None) -> None:

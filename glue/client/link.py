@@ -11,14 +11,14 @@ import platform
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
+from glue.client.sockets import Transport, open_transport
 from glue.client.target import OwnKey
-from glue.client.transport import Transport, open_transport
 from glue.console import LOG, one_line
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.hub.config import check_session
 from glue.hub.sessions import INSTANCE_SIZE
-from glue.sockets.spinning import LONG_SPIN_SECONDS, SEVERAL_CORES
 from glue.system import chance, clock
+from glue.system.spinning import LONG_SPIN_SECONDS, SEVERAL_CORES
 from glue.wire.codec import UnknownKind, clip
 from glue.wire.messages import CALLS, MAX_BODY, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
@@ -169,7 +169,6 @@ class Link:
         if kind is Kind.REFUSE:
             raise Refused(f"the hub at {self._hub} refused this {self._role}: {one_line(str(scalars[1]))}")
         if kind is Kind.ERROR and scalars[0] == ErrorCode.UNKNOWN_PEER:
-            self._transport.notice_connections()
             # A HELLO under way will be answered; this error is about a message sent before it.
             if self._transport.connections != self._greeted or session in self._welcomed:
                 self._greet()

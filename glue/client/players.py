@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Final
 
 from glue.client.answers import ServedPlayer
 from glue.client.link import Link
+from glue.client.sockets import Transport
 from glue.client.target import Target, find_target
-from glue.client.transport import Transport
 from glue.console import LOG, reporting, show_failure
 from glue.errors import GlueError, HubClosed, PeerFailed, Refused, described
 from glue.roles import AgentLike, EnvironmentLike

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, Protocol
 
 from glue.engine.calls import skippable, unfit_for_batch, unsupported
@@ -49,44 +50,22 @@ _MAX_QUERIES: Final = 8
 """Maximum number of requests without a call, between two calls, that are in turn."""
 
 
+@dataclass(slots=True, eq=False)
 class Peer:
     """The program that fills a role, and the channel to it.
 
     `name` is its name in error messages; `label` adds its language and library, for notices and the log.
     """
 
-    __slots__ = (
-        "capabilities",
-        "channel",
-        "confirmed",
-        "instance",
-        "label",
-        "name",
-        "role",
-        "session",
-        "unreachable_since",
-    )
-
-    def __init__(
-        self,
-        session: Session,
-        role: Role,
-        channel: Channel,
-        instance: bytes,
-        name: str,
-        label: str,
-        capabilities: frozenset[str],
-        confirmed: bool,
-    ) -> None:
-        self.session: Session = session
-        self.role: Role = role
-        self.channel: Channel = channel
-        self.instance: bytes = instance
-        self.name: str = name
-        self.label: str = label
-        self.capabilities: frozenset[str] = capabilities
-        self.confirmed: bool = confirmed
-        self.unreachable_since: float | None = None
+    session: Session
+    role: Role
+    channel: Channel
+    instance: bytes
+    name: str
+    label: str
+    capabilities: frozenset[str]
+    confirmed: bool
+    unreachable_since: float | None = None
 
 
 class Host(Protocol):

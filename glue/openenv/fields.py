@@ -27,7 +27,6 @@ from glue.gym.codec import INT32, SpaceLike
 _MAX_DEPTH: Final = 8
 _MAX_FIELDS: Final = 4096  # each item of a tuple is one; a task spec has no room for more
 _MAX_NUMBERS: Final = 2**20
-_MAX_FLOAT: Final = float(np.finfo(np.float64).max)
 _ENVELOPE: Final = ("metadata", "done", "reward")
 """Properties of OpenEnv's base classes: beside the observation in a message, or not the environment's own."""
 
@@ -35,8 +34,8 @@ _ENVELOPE: Final = ("metadata", "done", "reward")
 class Field(NamedTuple):
     """A schema's space, and the functions from a value of JSON to one of the space and back.
 
-    Both functions raise SimulatorError if the value is not as the schema says. `size` is the number of ints,
-    doubles and chars.
+    Both functions raise SimulatorError if a text, a choice or an object is not as the schema says; the codec
+    of the space checks numbers. `size` is the number of ints, doubles and chars.
     """
 
     space: SpaceLike
@@ -124,7 +123,7 @@ class _Schemas:
         if isinstance(item.space, spaces.Box) and item.space.dtype != np.uint8:
             self._count(0, item.size * (count - 1))
             low, high = (np.tile(end, (count, *(1,) * end.ndim)) for end in (item.space.low, item.space.high))
-            return _box(low, high, item.space.dtype)
+            return _numbers(spaces.Box(low, high, dtype=item.space.dtype.type), item.size * count)
         fields = (self._fields - before) * (count - 1)
         if self._fields + fields > _MAX_FIELDS:
             return None
@@ -166,33 +165,36 @@ def _within(name: str | int, convert: Callable[[Any], Any], value: Any) -> Any:
         raise SimulatorError(f"{name}: {error}") from None
 
 
+def _numbers(space: SpaceLike, size: int = 1) -> Field:
+    """Return the field of numbers that are the same in JSON; the codec of the space checks them."""
+    return Field(space, lambda value: value, lambda value: np.asarray(value).tolist(), size)
+
+
 def _choice(values: Sequence[Any]) -> Field:
-    def read(value: Any) -> np.int64:
+    def read(value: Any) -> int:
         for index, one in enumerate(values):
             if type(one) is type(value) and one == value:
-                return np.int64(index)
+                return index
         raise SimulatorError(f"expected one of {[*values]!r:.200}, not {value!r:.80}")
 
     return Field(spaces.Discrete(len(values)), read, lambda index: values[int(index)])
 
 
 def _integer(schema: Mapping[str, Any]) -> Field | None:
-    """Return the field of whole numbers; None if their bounds need more than 32 bits."""
+    """Return the field of a whole number; None if its bounds need more than 32 bits."""
     low, high = _bound(schema, "inimum", 1, INT32.min), _bound(schema, "aximum", -1, INT32.max)
     if not INT32.min <= low <= high <= INT32.max:
         return None
     if low > INT32.min and high < INT32.max:
-        start = int(low)
-        space = spaces.Discrete(int(high) - start + 1, start=start)
-        return Field(space, lambda value: np.int64(_checked(value, int)), int)
-    return _box(np.array(low, np.int64), np.array(high, np.int64), np.dtype(np.int64))
+        return _numbers(spaces.Discrete(int(high) - int(low) + 1, start=int(low)))
+    return _numbers(spaces.Box(int(low), int(high), (), np.int64))
 
 
 def _number(schema: Mapping[str, Any]) -> Field:
     low, high = _bound(schema, "inimum", 0, -np.inf), _bound(schema, "aximum", 0, np.inf)
     if not low <= high:
         raise ConfigError(f"a number of the schema has no legal value: {schema!r:.80}")
-    return _box(np.array(low, np.float64), np.array(high, np.float64), np.dtype(np.float64))
+    return _numbers(spaces.Box(low, high, (), np.float64))
 
 
 def _bound(schema: Mapping[str, Any], kind: str, beside: int, default: float) -> float:
@@ -205,34 +207,6 @@ def _bound(schema: Mapping[str, Any], kind: str, beside: int, default: float) ->
 
 def _is_number(value: Any) -> TypeGuard[float]:
     return type(value) in (int, float) and abs(value) < 2**53
-
-
-def _box(low: Any, high: Any, dtype: np.dtype[Any]) -> Field:
-    kind = int if dtype.kind == "i" else float
-
-    def read(value: Any) -> Any:
-        return np.array(_array_of(value, low.shape, kind), dtype)
-
-    space = spaces.Box(low.astype(dtype), high.astype(dtype), low.shape, dtype.type)
-    return Field(space, read, lambda value: np.asarray(value).tolist(), max(1, int(low.size)))
-
-
-def _array_of(value: Any, shape: tuple[int, ...], kind: type) -> Any:
-    if not shape:
-        return _checked(value, kind)
-    if not isinstance(value, list) or len(value) != shape[0]:
-        raise SimulatorError(f"expected {shape[0]} items, not {value!r:.80}")
-    return [_array_of(one, shape[1:], kind) for one in value]
-
-
-def _checked(value: Any, kind: type) -> Any:
-    if kind is int and type(value) is int and INT32.min <= value <= INT32.max:
-        return value
-    if kind is float and type(value) in (int, float) and abs(value) <= _MAX_FLOAT:
-        return float(value)
-    raise SimulatorError(
-        f"expected {'a whole number of 32 bits' if kind is int else 'a number'}, not {value!r:.80}"
-    )
 
 
 def _string(max_text: int) -> Field:

@@ -1,5 +1,5 @@
-"""Time, network, chance and threads: the only modules that ask the system for them.
+"""What asks the system: time, network, chance and threads, and what is built on these four directly.
 
-All other modules of the package look the functions up here at each call, so that a simulation that replaces
+All other modules of the package look their functions up here at each call, so that a simulation that replaces
 them runs the whole package on a virtual clock and network (tests/simulation).
 """

@@ -84,6 +84,11 @@ class Stream:
         """Bytes received that are not part of a message returned by `next_event`."""
         return len(self._data) - self._at + self._decoder.buffered
 
+    @property
+    def kept(self) -> int:
+        """Like `buffered`, with the bytes that were read and are in memory until the rest is."""
+        return len(self._data) + self._decoder.kept
+
     def receive_data(self, data: bytes) -> None:
         """Add bytes received from the connection."""
         if self._mechanism is not None:

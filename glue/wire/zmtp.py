@@ -216,6 +216,11 @@ class Decoder:
         frames = self._frames
         return self._size + len(frames) + sum(map(len, frames)) if frames else self._size
 
+    @property
+    def kept(self) -> int:
+        """Like `buffered`, with the bytes that were read and are in memory until the rest is."""
+        return len(self._buffer) + len(self._later) + len(self._frames) + sum(map(len, self._frames))
+
     def receive_data(self, data: bytes) -> None:
         """Add bytes received from the connection."""
         if not self._size:

@@ -179,7 +179,7 @@ class Answering:
 
 def test_a_hub_that_expects_an_answer_does_not_sleep_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("glue.hub.io.loop.LONG_SPIN_SECONDS", 60.0)
-    monkeypatch.setattr("glue.sockets.spinning._LOST_SECONDS", 60.0)
+    monkeypatch.setattr("glue.system.spinning._LOST_SECONDS", 60.0)
     loop = Loop(60.0, lambda line: None)
     ours, theirs = socket.socketpair()
     with ours, theirs:

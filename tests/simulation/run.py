@@ -17,7 +17,7 @@ from glue.client import link
 from glue.client.experiment import connect
 from glue.client.observer import observe
 from glue.client.players import serve_agent, serve_environment
-from glue.client.transport import open_transport
+from glue.client.sockets import open_transport
 from glue.errors import GlueError, HubClosed, HubUnreachable, PeerFailed, PeerLost, Refused
 from glue.hub.config import Bind, HubConfig, Keys, Permit
 from glue.hub.io import channels

@@ -30,6 +30,10 @@ class Shown:
         self._wanted: dict[Hashable, int] = {}
         self._last: dict[Hashable, _Moment] = {}
 
+    def joined(self, view: Hashable) -> None:
+        """Note that an observer is let in anew: its moments are counted from the beginning."""
+        self._last.pop(view, None)
+
     def wanted(self, view: Hashable, moments: Any) -> None:
         """Note that an observer asks for so many moments, in place of what it asked for before."""
         self._wanted[view] = moments

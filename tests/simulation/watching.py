@@ -307,6 +307,8 @@ class Watch:
                 self.order.sent(channel.connection._socket, message)
                 if kind in MOMENTS:
                     self._shown.shown((channel, message.session), message)
+                elif kind is Kind.WELCOME and not message.scalars[1]:
+                    self._shown.joined((channel, message.session))
             if kind is Kind.NOTICE and message.scalars[0] == Event.LOST:
                 self._told.append(Role(str(message.scalars[1])))
             if kind in _OF_EPISODES:

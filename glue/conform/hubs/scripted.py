@@ -85,7 +85,6 @@ class ScriptedPeer:
         """Send HELLO once connected: a hub may close a connection whose HELLO is late."""
         assert self._connection is not None
         deadline = clock.monotonic() + self._scene.wait
-        self._connection.notice_connections()
         self._connection.wait_at_most(self._scene.wait)
         while not self._connection.connected and clock.monotonic() < deadline:
             self._connection.receive()

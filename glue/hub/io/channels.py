@@ -22,8 +22,8 @@ from glue.hub.io.listener import Listener, OpenAddress
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
 from glue.hub.sessions import Sessions
-from glue.sockets.options import limit_silence
 from glue.system import clock, network
+from glue.system.sockets import limit_silence
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
 from glue.wire.messages import MAX_HEADER, OBSERVING, Kind, Message, Role
@@ -137,7 +137,7 @@ class _SocketChannel:
 
     def _account_for_data(self) -> None:
         """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
-        held = (self._stream.buffered + self.connection.unsent) * 9 // 8  # buffers grow by an eighth
+        held = (self._stream.kept + self.connection.unsent) * 9 // 8  # buffers grow by an eighth
         if held != self._held:
             self._held = held
             self.account()

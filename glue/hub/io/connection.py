@@ -14,8 +14,8 @@ from contextlib import suppress
 from typing import Final, Protocol
 
 from glue.hub.io.loop import FAILURE, READ, WRITE, Events, Loop
-from glue.sockets.options import probe_when_silent
 from glue.system import clock, network
+from glue.system.sockets import probe_when_silent
 
 _CHUNK: Final = 65_536
 """Maximum bytes to read at once; a larger buffer costs a system call, even if the message is short."""

@@ -115,9 +115,6 @@ class InsideTransport:
             for answer in player.carry_out(call):
                 receive(player, answer, clock.monotonic())
 
-    def notice_connections(self) -> None:
-        """Do nothing: there is always one connection."""
-
     def close(self, linger: float | None = None) -> None:
         """Do nothing: nothing is left to deliver."""
 

@@ -24,8 +24,8 @@ from typing import Final
 from glue.closing import Closing
 from glue.errors import ConfigError
 from glue.hub.io.loop import READ, Loop
-from glue.sockets.options import unix_address
 from glue.system import network
+from glue.system.sockets import unix_address
 
 Accept = Callable[[network.socket, str, float], None]
 """A function of a connection, the peer's address for people, and the time."""

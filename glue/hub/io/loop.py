@@ -15,8 +15,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, Protocol, TypeVar
 
-from glue.sockets.spinning import LONG_SPIN_SECONDS, Spin
 from glue.system import clock, network, threads
+from glue.system.spinning import LONG_SPIN_SECONDS, Spin
 
 READ: Final = network.POLLIN
 WRITE: Final = network.POLLOUT

@@ -79,9 +79,7 @@ def test_a_game_is_played_by_calls_from_another_thread() -> None:
     ("arguments", "says", "illegal"),
     [
         ({}, "turn is a whole number; the current turn is 1", 0),
-        ({"turn": True, "actions": ["left"]}, "turn is a whole number", 0),
         ({"turn": "1", "actions": ["left"]}, "turn is a whole number", 0),
-        ({"turn": 7, "actions": ["left"]}, "the current turn is 1", 0),
         ({"turn": 1}, "no list of actions was given", 1),
         ({"turn": 1, "actions": "left"}, "no list of actions was given", 1),
         ({"turn": 1, "actions": ["left"], "until": ["x"]}, "until is one of end, reward, change", 1),

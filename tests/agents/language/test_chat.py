@@ -89,14 +89,12 @@ def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("act: right", (["right"], "end")),
         ("I go left.\nact: left\nNo:\n Act: up, down*3 until reward", (["up", "down*3"], "reward")),
-        ("`ACT: 1 0 1, stay*2`\n", (["1 0 1", "stay*2"], "end")),
-        ("**act:** right*2\n", (["right*2"], "end")),
+        ("**ACT:** .5 0 1, `stay`, stay*2.\n", ([".5 0 1", "stay", "stay*2"], "end")),
         ("act: right UNTIL never", (["right UNTIL never"], "end")),
         ("act: right until never", (["right"], "never")),
         ("I am stuck.\nGive up.", ([], "end")),
         ("act:", ([""], "end")),
         ("I act: right", (None, "end")),
-        ("", (None, "end")),
     ],
 )
 def test_a_choice_is_the_last_line_that_states_one(text: str, choice: tuple[object, str]) -> None:
@@ -130,7 +128,6 @@ def test_a_model_plays_with_the_rules_its_history_and_its_sampling() -> None:
     assert len(third["messages"]) == 4  # the rules, one earlier choice and its answer, and the question
     counts = {"choices": 3, "illegal": 1, "repeated": 0, "forfeits": 0, "tokens_in": 30, "tokens_out": 12}
     assert record["counts"].items() > counts.items()
-    assert record["counts"]["seconds"] > 0
     assert agent.agent_metrics() == record["counts"]  # type: ignore[attr-defined]
     assert record["settings"].items() > {"url": url, "model": "ours", "temperature": 0.5}.items()
     assert record["prompt"] == sha256(first["messages"][0]["content"].encode()).hexdigest()
@@ -284,5 +281,7 @@ def test_a_key_is_sent_to_its_endpoint_and_shown_nowhere(monkeypatch: pytest.Mon
     for unbounded in ("timeout", "seconds", "temperature"):
         with pytest.raises(ConfigError, match=f"option {unbounded} must be from .* not inf"):
             make_agent("chat", url="http://127.0.0.1/v1", model="m", **{unbounded: math.inf})
-    with pytest.raises(ConfigError, match="in clear text"):
-        make_agent("chat", url="http://192.0.2.1/v1", model="m")
+    for key, says in ((SECRET, "in clear text"), (f"{SECRET}\n", "no key"), (f"{SECRET}ß", "no key")):
+        with pytest.raises(ConfigError, match=says) as refusal:
+            Endpoint("http://192.0.2.1/v1" if key == SECRET else "https://192.0.2.1/v1", key)
+        assert SECRET not in str(refusal.value)

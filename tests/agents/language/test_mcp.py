@@ -7,6 +7,7 @@ import sys
 from collections.abc import Awaitable, Callable
 from http.client import HTTPConnection
 from pathlib import Path
+from subprocess import PIPE, Popen
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,6 +25,7 @@ from tests.pages import DOCS, follow
 
 mcp = pytest.importorskip("mcp", reason="needs the SDK: pip install 'glue-rl[mcp]'")
 
+AGENT = str(Path(sys.executable).parent / "glue-agent")
 MODES = ["auto", "legacy"]
 WITH_SDK = "runs in the tests, where the SDK is installed"
 
@@ -106,8 +108,7 @@ def test_over_http_but_not_through_a_page_of_another_site(
 def test_over_stdio_from_the_first_call_to_the_last(mode: str, tmp_path: Path) -> None:
     """It answers before there is a hub, plays a recorded experiment, and says in the end that it is over."""
     hub = f"ipc://{tmp_path}/hub"
-    program = {"command": str(Path(sys.executable).parent / "glue-agent"), "env": dict(os.environ)}
-    command = mcp.StdioServerParameters(**program, args=["mcp", "--hub", hub])
+    command = mcp.StdioServerParameters(command=AGENT, args=["mcp", "--hub", hub], env=dict(os.environ))
     run = ["glue-experiment", "--env", "mines", "--episodes", "1", "--max-steps", "30", "--bind", hub]
     run += ["--record", "run.traj", "--ask", "record"]
     started: list[forked.Forked] = []
@@ -126,6 +127,15 @@ def test_over_stdio_from_the_first_call_to_the_last(mode: str, tmp_path: Path) -
 
     talk(lambda: mcp.stdio_client(command), mode, whole)
     assert forked.run("glue-replay", "--check", "run.traj", cwd=tmp_path).returncode == 0
+
+
+def test_a_signal_ends_it_while_its_client_stays(tmp_path: Path) -> None:
+    command = [AGENT, "mcp", "--hub", f"ipc://{tmp_path}/hub"]
+    with Popen(command, stdin=PIPE, stdout=PIPE, stderr=PIPE) as agent:
+        assert agent.stderr is not None
+        assert b"waiting for one" in agent.stderr.readline()
+        agent.terminate()
+        assert agent.wait(60) == 143
 
 
 def test_stdio_serves_one_session(monkeypatch: pytest.MonkeyPatch) -> None:

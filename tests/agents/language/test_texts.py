@@ -85,8 +85,7 @@ def test_many_actions_have_no_names() -> None:
 
 
 def test_an_observation_is_a_picture_or_numbers_and_never_long() -> None:
-    field = 20
-    assert made(MinesEnvironment().env_init()).seen(Observation([field])).count("@") == 1
+    assert made(MinesEnvironment().env_init()).seen(Observation([20])).count("@") == 1
     assert made(MinesEnvironment().env_init()).seen(Observation([10**6])) == "1000000"
     assert made(CAR).seen(Observation([0, 1, 1], [0.5], b"a\x1bb\xff")) == "0 1 1 0.5\na?b\xff"
     assert len(made(GRID).seen(Observation([7] * 10**6, [0.5] * 10**6, b"x" * 10**6))) < 5000

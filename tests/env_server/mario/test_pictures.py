@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +95,6 @@ def test_the_command_prints_a_level(file: Path) -> None:
     arguments = ["mario", "--level-width", "0", "--level-template", "0"]
     done = CliRunner().invoke(glue_env, arguments, catch_exceptions=False)
     assert (done.exit_code, done.stdout) == (0, InfiniteMario(level_width=0).level_template(0))
-    assert "--level-template" not in CliRunner().invoke(glue_env, ["mines", "--help"]).stdout
 
 
 FRAMEWORK = """
@@ -152,7 +150,6 @@ def test_what_the_characters_stand_for(file: Path) -> None:
     ("text", "line", "column", "expected"),
     [
         ("", 1, 1, "expected a picture of 20 to 2050 columns, not 0"),
-        ("-" * 19, 1, 20, "expected a picture of 20 to 2050 columns, not 19"),
         ("-" * 2051, 1, 2052, "expected a picture of 20 to 2050 columns, not 2051"),
         (f"{PLAIN}XX", 3, 3, "expected 20 columns, not 2"),
         (f"{PLAIN}{'-' * 21}", 3, 21, "expected 20 columns, not 21"),
@@ -161,7 +158,6 @@ def test_what_the_characters_stand_for(file: Path) -> None:
         (PLAIN + "XX\0" + "X" * 16, 3, 3, "expected plain text, not UTF-16"),
         (PLAIN + "F" + "-z" + "X" * 17, 3, 3, "not 'z'"),
         (PLAIN + "XB" + "X" * 18, 3, 2, "B is a cannon, and the competition of 2009 had none"),
-        (PLAIN + "L" + "X" * 19, 3, 1, "which the engine of 2009 does not have"),
         (PLAIN + "1" + "X" * 19, 3, 1, "a hidden mushroom that gives a life"),
         (PLAIN + "ttt" + "X" * 17, 3, 3, "expected pipes of two columns, and this is half of one"),
         (PLAIN + "-" * 10 + "M" + "-" * 9, 3, 11, "expected M in the first 8 columns"),
@@ -169,7 +165,6 @@ def test_what_the_characters_stand_for(file: Path) -> None:
         (f"{PLAIN}\ntype 3", 4, 1, "expected type 0, 1 or 2, or COLUMN ROW CHARACTER, not 'type 3'"),
         (f"{PLAIN}F{GROUND[1:]}\n\n20 3 g", 5, 1, "expected column 0 to 19 and row 0 to 14, not 20 and 3"),
         (f"{PLAIN}F{GROUND[1:]}\n\n9 3 t", 5, 5, "expected a part of a pipe as one of <>[]"),
-        (f"{PLAIN}\n9 3 b", 4, 5, "b is a cannon"),
         (f"{'g' * 20}\n" * 15, 15, 20, "expected at most 200 monsters in 40 columns, not 300"),
     ],
 )
@@ -209,7 +204,6 @@ def test_a_level_of_a_file_is_whole_and_fixed(file: Path) -> None:
     file.write_text(PLAIN)
     wrong: list[tuple[dict[str, Any], str]] = [
         ({"level": str(file), "level_seed": 1}, "leave out level_seed"),
-        ({"level": str(file), "level_width": 1}, "leave out level_width"),
         ({"level_digest": "00"}, "give level, too"),
     ]
     for options, why in wrong:
@@ -260,13 +254,12 @@ def test_games_on_the_level_of_a_file_are_equal(file: Path) -> None:
     assert restarted(clone) == restarted(game) == first
 
 
-def test_the_planner_reaches_the_goals_of_drawn_levels(tmp_path: Path) -> None:
+def test_the_planner_reaches_the_goals_of_drawn_levels(file: Path) -> None:
     solved = []
     rng = np.random.default_rng(1)
-    for number, text in islice(enumerate(iter(lambda: draw_picture(rng, 50), "")), 4):
-        path = tmp_path / f"{number}.txt"
-        path.write_text(text)
-        with local(make_agent("planner"), InfiniteMario(level=str(path), max_trial_steps=120)) as glue:
+    for _ in range(4):
+        file.write_text(draw_picture(rng, 50))
+        with local(make_agent("planner"), InfiniteMario(level=str(file), max_trial_steps=120)) as glue:
             glue.rl_init(seed=1)
             glue.rl_episode()
             solved.append(glue.rl_return() > 50)

@@ -57,6 +57,7 @@ def standings(folder: Path, out: str) -> object:
     return json.loads(compete(folder, "board", out, "--format", "json"))
 
 
+@pytest.mark.proof
 @pytest.mark.stage("kills")
 @pytest.mark.timeout(900)
 def test_an_organiser_that_is_killed_comes_to_the_same_standings(tmp_path: Path) -> None:

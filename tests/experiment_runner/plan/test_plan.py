@@ -144,7 +144,7 @@ def test_dumped_plan_reads_back_equal(plan: Plan) -> None:
     [
         ("episodes = 1\ntrials: 2", "not TOML: .*line 2"),
         ("episodes = 1\nx = " + "[" * 100_000, "nested too deeply"),
-        (f"episodes = 1\n[agents{'.a' * 3_000}]", "nested too deeply"),
+        (f"episodes = 1\n[agents{'.a' * 3_000}]", "nested too deeply|option a of a takes a number"),
         (f"episodes = {'9' * 5_000}", "not TOML"),
         ("trials = 3", "number of episodes"),
         ("episodes = 5\nepisode = 5", "no 'episode'; did you mean episodes"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import sqlite3
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +34,9 @@ READINGS = (
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store.create(tmp_path / "run", PLAN.expand(), {})
+def store(tmp_path: Path) -> Iterator[Store]:
+    with Store.create(tmp_path / "run", PLAN.expand(), {}) as store:
+        yield store
 
 
 def result(episode: int) -> EpisodeResult:

@@ -123,6 +123,7 @@ def test_value_that_no_run_holds_is_one_clear_error(run: Path, statement: str, w
         read_all(run)
 
 
+@pytest.mark.proof
 def test_changed_bytes_give_numbers_or_one_clear_error(run: Path) -> None:
     rng = np.random.default_rng(10)
     path = run / "results.sqlite"

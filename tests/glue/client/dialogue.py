@@ -80,9 +80,6 @@ class Dialogue:
 
     # The transport.
 
-    def notice_connections(self) -> None:
-        pass
-
     def spin_for(self, seconds: float) -> None:
         pass
 

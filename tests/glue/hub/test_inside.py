@@ -143,7 +143,7 @@ def test_a_verb_that_is_interrupted_anywhere_leaves_the_loop_to_others() -> None
     finished = False
     while not finished:
         places += 1
-        hub = Hub(HubConfig())
+        hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
         transport = InsideTransport(hub)
         transport.wait_at_most(0.001)
         sys.setprofile(Interrupting(places))

@@ -15,8 +15,8 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
 from glue.client.experiment import RemoteExperiment, connect
 from glue.client.players import serve_agent, serve_environment
+from glue.client.sockets import open_transport
 from glue.client.target import find_target
-from glue.client.transport import open_transport
 from glue.errors import ConfigError, GlueError, HubUnreachable, Refused
 from glue.hub.config import Bind, HubConfig, Keys, Permit
 from glue.hub.io.server import Hub

@@ -263,10 +263,15 @@ def test_a_connection_leaves_three_quarters_of_the_sessions_to_others(rig: Rig) 
     assert rig.hello("b", Role.AGENT, session="v")[0].kind is Kind.WELCOME
 
 
-def test_a_seat_that_is_not_open_at_an_address_cannot_be_taken_there(rig: Rig) -> None:
+def test_a_role_that_is_not_open_at_an_address_cannot_be_taken_there(rig: Rig) -> None:
     rig.binds["b"] = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT}), frozenset({"s", "t"}))
     rig.say("a", Kind.GOODBYE, 0, "bye")
-    for role, session in ((Role.ENVIRONMENT, "s"), (Role.EXPERIMENT, "t"), (Role.AGENT, "u")):
+    for role, session in (
+        (Role.ENVIRONMENT, "s"),
+        (Role.EXPERIMENT, "t"),
+        (Role.OBSERVER, "s"),
+        (Role.AGENT, "u"),
+    ):
         code, text = error(rig.hello("b", role, session=session))
         assert code == ErrorCode.NOT_ADMITTED
         assert f"no {role} of session {session!r}" in text
@@ -274,7 +279,7 @@ def test_a_seat_that_is_not_open_at_an_address_cannot_be_taken_there(rig: Rig) -
         assert rig.hello("b", Role.AGENT, session=session)[0].kind is Kind.WELCOME
 
 
-def test_who_knows_the_instance_of_a_peer_cannot_take_its_seat_from_an_address_that_is_not_open_to_it(
+def test_an_instance_opens_no_address_that_is_not_open_to_its_role(
     playing: Rig,
 ) -> None:
     playing.binds["b"] = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT}))

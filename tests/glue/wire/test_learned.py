@@ -267,6 +267,7 @@ def converse(seed: int) -> None:
         assert learned.receiver.buffered == plain.receiver.buffered
 
 
+@pytest.mark.proof
 def test_what_a_stream_has_learned_changes_nothing() -> None:
     for seed in range(size(200, 50_000)):
         try:

@@ -145,3 +145,15 @@ def test_a_step_behind_pieces_of_another_message_needs_no_codec(without_codec: C
     assert receiver.buffered == len(plainly(step, False))
     assert receiver.next_event() == step
     assert receiver.empty
+
+
+def test_what_was_read_counts_as_kept_until_the_rest_is_read_too() -> None:
+    sender, receiver = acquainted(Kind.ENV_STEP, False, "s")
+    step = b"".join(sender.encode(Message(Kind.ENV_STEP, "s", 300, (1.0, False), BODY)))
+    data = 3 * step + step[:10]
+    receiver.receive_data(data)
+    for _ in range(3):
+        assert isinstance(receiver.next_event(), Message)
+        assert receiver.kept == len(data)
+    assert receiver.next_event() is None
+    assert receiver.kept == receiver.buffered == 10

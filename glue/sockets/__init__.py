@@ -1,1 +1,0 @@
-"""Parts of socket code that a hub and its peers share."""
