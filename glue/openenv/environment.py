@@ -63,6 +63,7 @@ class OpenEnvEnvironment(Environment):
         self._client: SyncEnvClient[Any, Any, Any] | None = None
         self._seed: int | None = None
         self._playing = False
+        self._socket: Any = None  # over which the episode is played
 
     def env_seed(self, seed: int) -> None:
         """Send a seed with the next reset."""
@@ -89,7 +90,7 @@ class OpenEnvEnvironment(Environment):
         seed, self._seed = self._seed, None
         seeded = {} if seed is None else {"seed": seed}
         result = self._ask(self._connected().reset, **self._reset, **seeded)
-        self._playing = not self._ended(result)
+        self._playing, self._socket = not self._ended(result), self._open_socket()
         if not self._playing:
             raise SimulatorError(f"{self.url} ended the episode with its first observation")
         return self._observed(result)
@@ -105,6 +106,9 @@ class OpenEnvEnvironment(Environment):
             raise SimulatorError("no episode is being played: env_start begins one")
         sent = self._action.write(self._actions.unpack(action))
         result = self._ask(client.step, sent)
+        self._playing = self._open_socket() is self._socket
+        if not self._playing:  # OpenEnv's client has connected again, which is another session's game.
+            raise SimulatorError(f"{self.url} closed the connection in the middle of an episode")
         self._playing = not self._ended(result)
         reward = 0.0 if result.reward is None else result.reward
         if not (isinstance(reward, bool | int | float) and abs(reward) <= sys.float_info.max):
@@ -127,6 +131,9 @@ class OpenEnvEnvironment(Environment):
         if self._client is None:
             raise SimulatorError("the environment was cleaned up: call env_init first")
         return self._client
+
+    def _open_socket(self) -> Any:
+        return getattr(self._connected().async_client, "_ws", None)
 
     def _ask(self, call: Any, *args: Any, **options: Any) -> Any:
         try:

@@ -231,6 +231,27 @@ def test_answer_that_is_no_step_is_refused(answer: dict[str, Any] | None, expect
         env.env_cleanup()
 
 
+def test_episode_is_not_continued_over_another_connection(echo: str) -> None:
+    def play(client: ServerConnection) -> None:
+        for _ in range(2):
+            client.recv()
+            value = {"echo": "", "side": "left", "steps": []}
+            client.send(json.dumps({"type": "observation", "data": {"observation": value, "done": False}}))
+        # Returning closes the connection.
+
+    env = glue.make(f"openenv:{echo}", max_text=32)
+    with serve_websockets(play, "127.0.0.1", 0) as server:
+        threading.Thread(target=server.serve_forever).start()
+        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"  # type: ignore[attr-defined]
+        env.env_init()
+        env.env_start()
+        step(env, 0, "")
+        with pytest.raises(SimulatorError, match="closed the connection in the middle of an episode"):
+            step(env, 0, "")
+        env.env_start()
+        env.env_cleanup()
+
+
 def test_our_environment_plays_with_openenvs_client_as_it_plays_here(mines: str) -> None:
     here = glue.gym.wrap(glue.make("mines"))
     chance = np.random.default_rng(5)
