@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import json
 import sys
+from concurrent.futures import Future
+from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any, Final
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -199,9 +201,18 @@ def _schemas(url: str, timeout: float) -> dict[str, Any]:
     Raises:
         ConfigError: it does not answer, or not with schemas.
     """
+    answered: Future[bytes] = Future()
+
+    def ask() -> None:
+        try:
+            with urlopen(f"{url}/schema", timeout=timeout) as answer:
+                answered.set_result(answer.read(_MAX_SCHEMA + 1))
+        except Exception as error:
+            answered.set_exception(error)
+
+    Thread(target=ask, daemon=True).start()  # A timeout of urlopen is for each byte.
     try:
-        with urlopen(f"{url}/schema", timeout=timeout) as answer:
-            text = answer.read(_MAX_SCHEMA + 1)
+        text = answered.result(timeout)
     except Exception as error:  # also of parsing HTTP: whatever listens there
         raise ConfigError(f"no OpenEnv server answers at {url}: {described(error)}") from None
     try:

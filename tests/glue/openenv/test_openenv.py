@@ -11,10 +11,11 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any, Literal
@@ -197,6 +198,21 @@ def test_hostile_schema_is_refused_in_one_line(body: bytes | None, expected: str
         threading.Thread(target=server.handle_request).start()
         with pytest.raises(ConfigError, match=expected):
             glue.make(f"openenv:http://127.0.0.1:{server.server_address[1]}")
+
+
+def test_schema_that_drips_is_not_waited_for() -> None:
+    def drip(listening: socket.socket) -> None:
+        connection, _ = listening.accept()
+        with connection, suppress(OSError):
+            connection.sendall(b"HTTP/1.1 200 OK\r\n\r\n")
+            for _ in range(60):
+                connection.sendall(b" ")
+                time.sleep(0.05)
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=drip, args=[listening], daemon=True).start()
+        with pytest.raises(ConfigError, match=r"no OpenEnv server answers at .*TimeoutError"):
+            glue.make(f"openenv:http://127.0.0.1:{listening.getsockname()[1]}", timeout=0.2)
 
 
 @pytest.mark.parametrize(
