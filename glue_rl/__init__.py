@@ -1,4 +1,4 @@
-"""The door to glue-rl where another distribution has a package called `glue` or `agents`.
+"""The entrance to glue-rl where another distribution has a package called `glue` or `agents`.
 
     from glue_rl import Agent, serve_agent
 

@@ -1,4 +1,4 @@
-"""What both doors have in common: an agent whose actions a language model chooses."""
+"""What both language agents have in common: a language model chooses their actions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class LanguageAgent(Agent):
     @property
     @abstractmethod
     def how(self) -> str:
-        """How to play by this door, in words."""
+        """How to play by this agent, in words."""
 
     @abstractmethod
     def choose(self) -> None:

@@ -1,7 +1,7 @@
 """A game as a language model plays it: its turns, its sequences of actions, what is illegal, and forfeits.
 
 The agent's role of a session is on one side (`start`, `step`, `end`, `next_action`), a model on the other
-(`look`, `act`, `give_up`). Nothing here waits or knows who asks, so a game survives whoever asks.
+(`look`, `act`, `give_up`). Nothing here waits or knows which client asks, so a game survives its clients.
 
 A *turn* is one choice of the model's. Turns are counted over all episodes, and each episode begins with one
 of its own, so that none can be played in another episode. Whoever repeats the last choice with its turn gets

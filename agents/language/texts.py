@@ -1,6 +1,6 @@
 """The texts of a game for a language model: its rules, its actions by name, what is seen.
 
-Both doors, `agents.language.server` and `agents.language.chat`, show the same ones, made of the task spec,
+Both agents, `agents.language.server` and `agents.language.chat`, show the same ones, made of the task spec,
 the words that the environment brings (`glue.plugins.words`) and the options.
 """
 

@@ -227,9 +227,10 @@ def verify(directory: Path, sign: Path | None) -> int:
         problems = verify_run(store, steps, say)
         left = set(course.trials) - over
         still_broken = seal.broken(store)
-    say(f"{len(over) - problems} of {len(over) + len(left)} trials are verified")
+    of = f"of {len(over) + len(left)} trials are"
+    say(f"{len(over) - problems} {of} verified")
     if left:
-        say(f"{len(left)} trials are not over: continue with glue-compete run FILE --out {directory}")
+        say(f"{len(left)} {of} not over: continue with glue-compete run FILE --out {directory}")
     failed = problems or changed or still_broken or left
     if pair is not None and failed:
         say("nothing was signed")

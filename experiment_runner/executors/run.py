@@ -33,7 +33,7 @@ from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Progress
-from experiment_runner.store.meetings import LiveSession, Meetings
+from experiment_runner.store.live_sessions import LiveSession, LiveSessions
 from experiment_runner.store.records import OF_PLAYERS, UNSEEDED
 from experiment_runner.store.store import Store
 from glue.closing import Closing
@@ -115,7 +115,7 @@ class RunCollector(Closing):
         self._store = store
         self._config = config
         self._reporter = reporter
-        self._meetings = Meetings(store.directory)
+        self._live = LiveSessions(store.directory)
         self._specs: dict[str, TrialSpec] = {record.spec.id: record.spec for record in store.trials()}
         self._unstored: list[tuple[str, Recorded]] = []
         self._stored_at = -math.inf
@@ -125,7 +125,7 @@ class RunCollector(Closing):
 
     def close(self) -> None:
         """Remove the information for observers of trials in progress."""
-        self._meetings.close()
+        self._live.close()
 
     def run_here(
         self, trial_ids: Iterable[str], interrupts: Interrupts, recording: TrajectoryWriter | None = None
@@ -145,7 +145,7 @@ class RunCollector(Closing):
             try:
                 run_job(self.start(trial_id), send, interrupts=interrupts, recording=recording)
             finally:
-                self._meetings.end(trial_id)
+                self._live.end(trial_id)
                 self.commit()
 
     def _take_here(self, trial_id: str, report: Report) -> None:
@@ -177,7 +177,7 @@ class RunCollector(Closing):
                 if report.checkpoint is not None:
                     self.commit()
             case AtHub(hub, session):
-                self._meetings.begin(trial_id, LiveSession(hub, session))
+                self._live.begin(trial_id, LiveSession(hub, session))
             case Playing(episode, steps):
                 self._reporter.playing(self._specs[trial_id], episode, steps)
             case Line(line):
@@ -209,7 +209,7 @@ class RunCollector(Closing):
 
     def lost(self, trial_id: str, why: str) -> int:
         """Store that a trial was lost; return the number of its episodes that are stored."""
-        self._meetings.end(trial_id)
+        self._live.end(trial_id)
         self._record_event(trial_id, "lost", why)
         return self._store.done(trial_id)
 
@@ -224,7 +224,7 @@ class RunCollector(Closing):
 
     def end(self, trial_id: str, failure: str | None) -> None:
         """Store that a trial is over, and the reason if it has failed."""
-        self._meetings.end(trial_id)
+        self._live.end(trial_id)
         self.commit()
         if failure is not None:
             self._store.record_failure(trial_id, failure)

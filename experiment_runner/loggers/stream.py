@@ -207,7 +207,7 @@ def _open(name: str, where: object) -> Iterator[Logger]:
     except Exception as error:
         raise ExperimentError(
             f"{name} did not take the results: {one_line(str(error)) or type(error).__name__}; "
-            "nothing is lost: the same command goes on from here"
+            "nothing is lost: the same command continues from here"
         ) from error
 
 

@@ -72,7 +72,8 @@ def parse_plan(text: str, seeds: Seeds = "number") -> Plan:
     metrics = parse_metrics(table.pop("metrics_every", None), table.get("metrics"))
     tune = parse_tune(table["tune"]) if "tune" in table else None
     roles = {role: _roles(role, table[role]) for role in ROLES}
-    return converted(Plan, {**table, **roles, "metrics": metrics, "tune": tune}, "a plan")
+    table |= roles | {"metrics": metrics, "tune": tune}
+    return converted(Plan, table, "a plan", also=["metrics_every"])
 
 
 def dump_plan(plan: Plan) -> str:

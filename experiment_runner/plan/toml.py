@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -24,12 +24,13 @@ _SHOWN: Final = 80
 _WORDS: Final = {
     " | null": "",
     "Number out of range": "a number in range",
+    "`int | float`": "a number",
     "`int`": "a whole number",
     "`float`": "a number",
     "`str`": "a string",
     "`bool`": "true or false",
-    "`array`": "a list",
-    "`object`": "a table",
+    "`array`": 'a list, as in ["one", "two"]',
+    "`object`": "a table, as in { name = 1 }",
 }
 """What msgspec's messages call the types of a value, and what a user does."""
 
@@ -100,7 +101,14 @@ def naming_lines(path: Path, text: str) -> Iterator[None]:
 
 
 def converted(
-    kind: type[_T], table: object, what: str, /, *keys: str, base: Path = Path(), **given: object
+    kind: type[_T],
+    table: object,
+    what: str,
+    /,
+    *keys: str,
+    base: Path = Path(),
+    also: Sequence[str] = (),
+    **given: object,
 ) -> _T:
     """Return a table as a dataclass, whose annotations say what msgspec is to allow.
 
@@ -110,6 +118,7 @@ def converted(
         what: the table in messages, as in `task easy`.
         keys: those that lead to the table.
         base: the folder that relative paths begin at.
+        also: keys of the user's that the caller has taken from the table, for near misses.
         given: fields that are not the user's.
 
     Raises:
@@ -121,7 +130,7 @@ def converted(
     known = [field.name for field in fields(kind) if field.name not in given]  # type: ignore[arg-type]
     for key, value in table.items():
         if key not in known:
-            raise SettingError(f"{what} has no {key!r:.80}{did_you_mean(key, known)}", *keys, key)
+            raise SettingError(f"{what} has no {key!r:.80}{did_you_mean(key, [*known, *also])}", *keys, key)
         if isinstance(value, str) and not (value and value.isprintable()):
             raise SettingError(f"{key} must be a printable string, not {shown(value)}", *keys, key)
     try:
@@ -148,8 +157,8 @@ def _wrong_value(message: str, table: Mapping[str, Any], kind: type, what: str) 
     value: Any = table
     for key, index in path:
         value = value[key] if key else value[int(index)]
-    if message.startswith("Invalid enum value"):
-        near = did_you_mean(value, _choices(get_type_hints(kind)[keys[0]]))
+    if (choices := _choices(get_type_hints(kind)[keys[0]])) and "`array`" not in message:
+        near = did_you_mean(value if isinstance(value, str) else "", choices)
         return SettingError(f"{keys[0]} cannot be {shown(value)}{near}", *keys)
     expected = message.partition(", got")[0].removeprefix("Expected ")
     for word, ours in _WORDS.items():

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from experiment_runner.store.database import DATABASE_FILES, holds_run, reported
+from experiment_runner.store.live_sessions import HUBS_FILE
 from experiment_runner.store.lock import LOCK_FILE, DirectoryTaken, RunLock
-from experiment_runner.store.meetings import MEETINGS_FILE
 from glue.errors import ExperimentError
 from glue.files import create_regular, read_text
 
@@ -37,7 +37,7 @@ STREAMS: Final = "streams"  # a folder: the progress of loggers, and TensorBoard
 _FILES: Final = (
     *DATABASE_FILES,
     *(PLAN_FILE, COMPETITION_FILE, JOURNAL_FILE, SEAL_FILE, ABOUT_FILE, NOTES_FILE),
-    *(MEETINGS_FILE, LOCK_FILE),
+    *(HUBS_FILE, LOCK_FILE),
 )
 """Files of a run, in the order of their removal: without the first, the rest does not count as a run."""
 

@@ -17,7 +17,7 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.store.meetings import LiveSession, meetings_in
+from experiment_runner.store.live_sessions import LiveSession, live_sessions
 from experiment_runner.view.catalog import Catalog
 from experiment_runner.view.episodes import described, number
 from experiment_runner.view.stream import Pulse, Topic
@@ -81,13 +81,13 @@ class _Watch:
 
     def _work(self) -> None:
         while not self.over.is_set():
-            meetings = meetings_in(self._directory)
-            self._put("trials", sorted(meetings))
-            trial = self._trial or min(meetings, default="")
-            if trial in meetings:
+            sessions = live_sessions(self._directory)
+            self._put("trials", sorted(sessions))
+            trial = self._trial or min(sessions, default="")
+            if trial in sessions:
                 # The trial may end at any time: the next poll shows whether it continues.
                 with suppress(GlueError, OSError):
-                    self._watch(trial, meetings[trial])
+                    self._watch(trial, sessions[trial])
             self._put("trial", None)
             self.over.wait(_LOOK_SECONDS)
 
@@ -103,9 +103,9 @@ class _Watch:
                 now = time.monotonic()
                 if now - looked >= _LOOK_SECONDS:
                     looked = now
-                    meetings = meetings_in(self._directory)
-                    self._put("trials", sorted(meetings))
-                    if meetings.get(trial) != live or not observer.connected:
+                    sessions = live_sessions(self._directory)
+                    self._put("trials", sorted(sessions))
+                    if sessions.get(trial) != live or not observer.connected:
                         return  # a hub that was killed sends no goodbye
                 self.over.wait(max(0.0, asked + 1 / _RATE - now))
                 asked = time.monotonic()

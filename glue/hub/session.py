@@ -155,7 +155,7 @@ class Session:
         """End the session, which uses too much memory."""
         self._host.end(self, why)
 
-    def _weigh(self) -> None:
+    def _account(self) -> None:
         """Account for the bodies that are kept."""
         engine, reply = self._engine, self._reply
         sizes = [len(body) for body in engine.bodies if body]
@@ -190,7 +190,7 @@ class Session:
         repeated reply, or after it.
         """
         role = peer.role
-        self._weigh()  # it was given up if its only peer was replaced
+        self._account()  # it was given up if its only peer was replaced
         if not same:
             self._confirmed.pop(role, None)
         self.peers[role] = peer
@@ -413,7 +413,7 @@ class Session:
         body = body or b""
         self._outstanding = outstanding = _message(Message, (kind, self.name, self._seq, scalars, body))
         if self._due:
-            self._weigh()
+            self._account()
         if player is not None:
             if self._time is not None and player.role is Role.AGENT:
                 self._time.called(kind)
@@ -433,7 +433,7 @@ class Session:
     def _answer_experiment(self, reply: Message) -> None:
         self._reply = reply
         if self._heavy or len(reply.body) > _LIGHT:  # an observation and an action together
-            self._weigh()
+            self._account()
         experiment = self.peers.get(Role.EXPERIMENT)
         if experiment is not None:
             self._host.deliver(experiment, reply)
@@ -455,4 +455,4 @@ class Session:
         self._reply = None
         self._lost, self._lost_since_reply = {}, {}
         if self._heavy:
-            self._weigh()
+            self._account()

@@ -199,7 +199,7 @@ class LegacyExperiment(LegacyPeer):
         self._on(ExperimentEvent.REQUEST)
         self._request = request
         if request.body:
-            self._weigh()  # what is kept without having been buffered
+            self._account()  # what is kept without having been buffered
         self._sessions.receive(self, request, now)
 
     def _expect_end(self) -> None:

@@ -61,7 +61,7 @@ class LegacyPeer:
         self._held = 0
         connection.owner = self
         connection.in_turn = True
-        pending.on_tick(self._weigh)
+        pending.on_tick(self._account)
 
     def join(self, now: float) -> None:
         """Ask the sessions for the role."""
@@ -86,7 +86,7 @@ class LegacyPeer:
             connection.fail()
             delivered = False
         if not delivered or connection.unsent or self._held != _BASE:
-            self._weigh()
+            self._account()
         return delivered
 
     def _take(self, message: Message) -> bool:
@@ -111,7 +111,7 @@ class LegacyPeer:
         """Leave the session: the connection was reset after an error of the hub."""
         self._sessions.lose(self, "was dropped after an error of the hub", now)
 
-    def _weigh(self) -> bool:
+    def _account(self) -> bool:
         """Account for data not handled yet or not sent; return False once the connection has closed.
 
         Most messages leave nothing behind, and the account at `_BASE`: this is called only if one does.
@@ -134,7 +134,7 @@ class LegacyPeer:
         self._work(now)
         connection, memory = self._connection, self._sessions.memory
         if self._decoder.buffered or connection.unsent or connection.closed or self._held != _BASE:
-            self._weigh()
+            self._account()
         if memory.exceeded:
             memory.enforce()
 

@@ -48,7 +48,7 @@ class Pending:
         self.hub = hub
         self.log = log
         self._entries: dict[Connection, _Entry] = {}
-        self._weighing: list[Callable[[], bool]] = []
+        self._accounting: list[Callable[[], bool]] = []
         self._dropped = _DroppedLog(log)
         hub.loop.on_tick(self._tick)
         hub.on_close(self._close)
@@ -57,9 +57,9 @@ class Pending:
         """Keep `connection`; after the hub's timeout, call `time_out` with the time."""
         self._entries[connection] = _Entry(time_out, closing)
 
-    def on_tick(self, weigh: Callable[[], bool]) -> None:
-        """Call `weigh` at every tick until it returns False, which means that its connection has closed."""
-        self._weighing.append(weigh)
+    def on_tick(self, account: Callable[[], bool]) -> None:
+        """Call `account` at every tick until it returns False, which means that its connection has closed."""
+        self._accounting.append(account)
 
     def remove(self, connection: Connection) -> None:
         """Remove `connection`, which has a role now."""
@@ -97,7 +97,7 @@ class Pending:
             elif now - entry.since >= self.hub.config.timeout:
                 del self._entries[connection]
                 entry.time_out(now)
-        self._weighing = [weigh for weigh in self._weighing if weigh()]
+        self._accounting = [account for account in self._accounting if account()]
         self._dropped.tick(now)
 
     def _close(self) -> None:

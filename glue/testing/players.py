@@ -44,7 +44,7 @@ class Rule(StrEnum):
     SEED = "equal seeds make equal episodes"
     REPEATABLE = "without seed, equal seeds of Python's and NumPy's global generators make equal episodes"
     AFRESH = "seed and init start afresh, whatever came before"
-    SAVE = "save returns bytes, and what loads them goes on as what saved them"
+    SAVE = "save returns bytes, and what loads them continues as what saved them"
     DAMAGE = "load refuses damaged data with an exception"
 
 

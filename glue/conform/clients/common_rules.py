@@ -333,7 +333,9 @@ def _spoil(
         kit.cut()  # The client reported an error, or said GOODBYE.
     code = kit.client.wait(kit.quiet) if kit.connected else _left_or_back(kit)
     if code is not None and code < 0:
-        raise Broken(f"a client that goes on or reports an error after {name}", f"its end by signal {-code}")
+        raise Broken(
+            f"a client that continues or reports an error after {name}", f"its end by signal {-code}"
+        )
     kit.abandon()
 
 

@@ -70,13 +70,14 @@ def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
     ("line", "near"),
     [
         ('sampler = "randon"', "random"),
-        ("sampler = 3", "sampler must be a string, not 3"),
+        ("sampler = 3", "sampler cannot be 3; choose from random"),
         ("trials = 0x" + 5000 * "f", "trials .* not a number of thousands of digits"),
         ("trails = 3", "trials"),
         ("trials = 0", "trials"),
         ("[tune.agents.sarsas]\nstep_size = [0.1]", "sarsa"),
         ("[tune.agents.sarsa]\nstep_size = {low = 1.0, high = 0.1}", "greater"),
         ("[tune.agents.sarsa]\nstep_size = {low = 0.0, high = 0.1, log = true}", "above 0"),
+        ('[tune.agents.sarsa]\nstep_size = {low = "a", high = 0.1}', "low must be a number, not 'a'"),
         (
             f"[tune.agents.sarsa]\nstep_size = {{low = 0x{5000 * 'f'}, high = 1}}",
             "from a number of thousands",

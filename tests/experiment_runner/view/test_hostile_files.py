@@ -25,8 +25,8 @@ from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_text, overview
 from experiment_runner.store.export import episode_table
 from experiment_runner.store.layout import clear, remove_run, runs_under
+from experiment_runner.store.live_sessions import live_sessions
 from experiment_runner.store.lock import lock_holder
-from experiment_runner.store.meetings import meetings_in
 from experiment_runner.store.merge import merge
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
@@ -142,7 +142,7 @@ def test_a_run(made: Path, tmp_path: Path, name: str, thing: Callable[[Path, Pat
     directory, victim = shutil.copytree(made, tmp_path / "runs") / "run", tmp_path / "victim"
     lay(directory / name, thing, victim)
     lock_holder(directory)
-    meetings_in(directory)
+    live_sessions(directory)
     catalog = Catalog([tmp_path / "runs"])
     shown = {str(found["path"]): found["state"] for found in catalog.changes().values() if found}
     assert shown[str(tmp_path / "runs/sound")] == "interrupted"

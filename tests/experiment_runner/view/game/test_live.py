@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.store.meetings import MEETINGS_FILE, LiveSession, Meetings, meetings_in
+from experiment_runner.store.live_sessions import HUBS_FILE, LiveSession, LiveSessions, live_sessions
 from glue.types import Action, Observation, body_size
 from tests.experiment_runner.view.pages import Page, Stream, glue_view
 from tests.terminal import Terminal
@@ -57,9 +57,9 @@ def until(stream: Stream, topic: str, key: str, known: dict[str, Any]) -> Any:
 def test_a_page_sees_what_is_played_and_the_run_does_not_change(page: Page, tmp_path: Path) -> None:
     with playing("--out", "a", cwd=tmp_path):
         run_id = started(page, page.stream("topic=runs"))
-        file = tmp_path / "a" / MEETINGS_FILE
+        file = tmp_path / "a" / HUBS_FILE
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
-        ((trial, live),) = meetings_in(tmp_path / "a").items()
+        ((trial, live),) = live_sessions(tmp_path / "a").items()
         assert live.hub.startswith("ipc:///")
         topic = f"live:{run_id}"
         stream, known = page.stream(f"topic={topic}"), dict[str, Any]()
@@ -102,7 +102,7 @@ def test_a_run_that_was_killed_is_not_shown_as_going_on(page: Page, tmp_path: Pa
 def test_nothing_is_named_where_there_is_no_hub(page: Page, tmp_path: Path) -> None:
     with playing("--out", "a", "--in-process", cwd=tmp_path):
         run_id = started(page, page.stream("topic=runs"))
-        assert not (tmp_path / "a" / MEETINGS_FILE).exists()
+        assert not (tmp_path / "a" / HUBS_FILE).exists()
         stream = page.stream(f"topic=live:{run_id}")
         first: dict[str, Any] = {}
         while first.keys() != {"trials", "trial"}:
@@ -116,20 +116,20 @@ def test_there_is_no_topic_of_what_is_no_run(page: Page) -> None:
 
 
 def test_trials_come_and_go(tmp_path: Path) -> None:
-    file = tmp_path / MEETINGS_FILE
+    file = tmp_path / HUBS_FILE
     file.write_text("left behind")
-    meetings = Meetings(tmp_path)
+    file_of_hubs = LiveSessions(tmp_path)
     assert not file.exists()
     sessions = {
         "a/b/0": LiveSession("tcp://127.0.0.1:4097", "default"),
         "a/b/1": LiveSession("tcp://[::1]:4097", "b"),
     }
     for trial, live in sessions.items():
-        meetings.begin(trial, live)
-    assert meetings_in(tmp_path) == sessions
-    meetings.end("a/b/0")
-    assert meetings_in(tmp_path).keys() == {"a/b/1"}
-    meetings.close()
+        file_of_hubs.begin(trial, live)
+    assert live_sessions(tmp_path) == sessions
+    file_of_hubs.end("a/b/0")
+    assert live_sessions(tmp_path).keys() == {"a/b/1"}
+    file_of_hubs.close()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -151,15 +151,15 @@ def test_trials_come_and_go(tmp_path: Path) -> None:
     ],
 )
 def test_a_file_from_elsewhere_leads_nowhere_else(tmp_path: Path, text: str) -> None:
-    (tmp_path / MEETINGS_FILE).write_text(text)
-    assert meetings_in(tmp_path) == {}
+    (tmp_path / HUBS_FILE).write_text(text)
+    assert live_sessions(tmp_path) == {}
 
 
 def test_a_link_is_not_followed_and_a_socket_is_one_of_ours(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "hub"))
         (tmp_path / "true.json").write_text(json.dumps({"a": [f"ipc://{tmp_path}/hub", "default"]}))
-        (tmp_path / MEETINGS_FILE).symlink_to(tmp_path / "true.json")
-        assert meetings_in(tmp_path) == {}
-        (tmp_path / "true.json").replace(tmp_path / MEETINGS_FILE)
-        assert meetings_in(tmp_path) == {"a": LiveSession(f"ipc://{tmp_path}/hub", "default")}
+        (tmp_path / HUBS_FILE).symlink_to(tmp_path / "true.json")
+        assert live_sessions(tmp_path) == {}
+        (tmp_path / "true.json").replace(tmp_path / HUBS_FILE)
+        assert live_sessions(tmp_path) == {"a": LiveSession(f"ipc://{tmp_path}/hub", "default")}

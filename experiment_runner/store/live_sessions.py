@@ -18,7 +18,7 @@ from glue.errors import ConfigError
 from glue.files import create_regular, read_regular
 from glue.hub.config import check_session, check_url
 
-MEETINGS_FILE: Final = "hubs.json"
+HUBS_FILE: Final = "hubs.json"
 _MOST_BYTES: Final = 2**18
 _LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
 
@@ -30,7 +30,7 @@ class LiveSession(NamedTuple):
     session: str
 
 
-class Meetings:
+class LiveSessions:
     """The file of a run, kept up to date by its only writer. Best effort: only observers need it, so write
     errors are ignored.
 
@@ -39,7 +39,7 @@ class Meetings:
     """
 
     def __init__(self, directory: Path) -> None:
-        self._path = directory / MEETINGS_FILE
+        self._path = directory / HUBS_FILE
         self._live: dict[str, LiveSession] = {}
         self._write()  # removes the file of a killed process
 
@@ -59,7 +59,7 @@ class Meetings:
         self._write()
 
     def _write(self) -> None:
-        new = self._path.with_name(f".{MEETINGS_FILE}.{os.getpid()}")
+        new = self._path.with_name(f".{HUBS_FILE}.{os.getpid()}")
         with suppress(OSError):
             if not self._live:
                 self._path.unlink(missing_ok=True)
@@ -69,10 +69,10 @@ class Meetings:
             new.replace(self._path)
 
 
-def meetings_in(directory: Path) -> dict[str, LiveSession]:
+def live_sessions(directory: Path) -> dict[str, LiveSession]:
     """Return the hubs of the trials in progress, by id, that belong to this user or this machine."""
     try:
-        fields: Any = json.loads(read_regular(directory / MEETINGS_FILE, _MOST_BYTES, own=True))
+        fields: Any = json.loads(read_regular(directory / HUBS_FILE, _MOST_BYTES, own=True))
         found = {str(trial_id): LiveSession(hub, session) for trial_id, (hub, session) in fields.items()}
     except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         return {}
