@@ -36,10 +36,14 @@ class Options(GameOptions):
 
     url: Annotated[str, Option("address of the endpoint, such as http://127.0.0.1:8080/v1")] = ""
     model: Annotated[str, Option("name of the model at the endpoint")] = ""
-    temperature: Annotated[float | None, Option("of sampling; by default the endpoint's", low=0)] = None
+    temperature: Annotated[
+        float | None, Option("of sampling; by default the endpoint's", low=0, high=100)
+    ] = None
     top_p: Annotated[float | None, Option("of sampling; by default the endpoint's", low=0, high=1)] = None
     max_tokens: Annotated[int, Option("maximum length of an answer", low=1, unit="tokens")] = 1024
-    timeout: Annotated[float, Option("time for one answer of the endpoint", low=0.1, unit="s")] = 60.0
+    timeout: Annotated[
+        float, Option("time for one answer of the endpoint", low=0.1, high=86_400, unit="s")
+    ] = 60.0
     memory: Annotated[int, Option("earlier choices that the model is shown", low=0, high=10_000)] = 10
 
 

@@ -66,7 +66,9 @@ class GameOptions:
     list_actions: Annotated[bool, Option("list the legal actions with every observation")] = False
     sequence: Annotated[int, Option("maximum number of actions of one choice", low=1, high=10_000)] = 20
     illegal: Annotated[int, Option("illegal choices in a row that forfeit an episode", low=1)] = 5
-    seconds: Annotated[float, Option("time for an episode's choices, 0 for any", low=0, unit="s")] = 0.0
+    seconds: Annotated[
+        float, Option("time for an episode's choices, 0 for any", low=0, high=10**9, unit="s")
+    ] = 0.0
     steps: Annotated[int, Option("the experiment's step limit, which the model is told", low=0)] = 0
 
 

@@ -82,6 +82,8 @@ class Texts:
             parts = _TIMES.fullmatch(name.strip()[:_MOST_NAME])
             assert parts is not None
             chosen += [self._action(parts[1])] * min(int(parts[2] or 1), self._most + 1)
+            if len(chosen) > self._most:
+                break  # A million names are not worth reading.
         if not 0 < len(chosen) <= self._most:
             raise IllegalChoice(f"a choice has 1 to {self._most} actions")
         return chosen

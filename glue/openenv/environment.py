@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 import sys
-from http.client import HTTPException
+from concurrent.futures import Future
+from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any, Final
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -47,7 +48,9 @@ class OpenEnvEnvironment(Environment):
             int, Option("bytes of each field without a fixed size, such as a string", low=1, high=2**16)
         ] = 4096,
         reset: Annotated[str, Option("parameters of each reset besides the seed: a JSON object")] = "",
-        timeout: Annotated[float, Option("time to wait for an answer", low=0.1, unit="seconds")] = 60.0,
+        timeout: Annotated[
+            float, Option("time to wait for an answer", low=0.1, high=86_400, unit="seconds")
+        ] = 60.0,
     ) -> None:
         self._timeout = timeout
         self._reset = _parameters(reset)
@@ -62,6 +65,7 @@ class OpenEnvEnvironment(Environment):
         self._client: SyncEnvClient[Any, Any, Any] | None = None
         self._seed: int | None = None
         self._playing = False
+        self._socket: Any = None  # over which the episode is played
 
     def env_seed(self, seed: int) -> None:
         """Send a seed with the next reset."""
@@ -88,7 +92,7 @@ class OpenEnvEnvironment(Environment):
         seed, self._seed = self._seed, None
         seeded = {} if seed is None else {"seed": seed}
         result = self._ask(self._connected().reset, **self._reset, **seeded)
-        self._playing = not self._ended(result)
+        self._playing, self._socket = not self._ended(result), self._open_socket()
         if not self._playing:
             raise SimulatorError(f"{self.url} ended the episode with its first observation")
         return self._observed(result)
@@ -104,6 +108,9 @@ class OpenEnvEnvironment(Environment):
             raise SimulatorError("no episode is being played: env_start begins one")
         sent = self._action.write(self._actions.unpack(action))
         result = self._ask(client.step, sent)
+        self._playing = self._open_socket() is self._socket
+        if not self._playing:  # OpenEnv's client has connected again, which is another session's game.
+            raise SimulatorError(f"{self.url} closed the connection in the middle of an episode")
         self._playing = not self._ended(result)
         reward = 0.0 if result.reward is None else result.reward
         if not (isinstance(reward, bool | int | float) and abs(reward) <= sys.float_info.max):
@@ -126,6 +133,9 @@ class OpenEnvEnvironment(Environment):
         if self._client is None:
             raise SimulatorError("the environment was cleaned up: call env_init first")
         return self._client
+
+    def _open_socket(self) -> Any:
+        return getattr(self._connected().async_client, "_ws", None)
 
     def _ask(self, call: Any, *args: Any, **options: Any) -> Any:
         try:
@@ -191,10 +201,19 @@ def _schemas(url: str, timeout: float) -> dict[str, Any]:
     Raises:
         ConfigError: it does not answer, or not with schemas.
     """
+    answered: Future[bytes] = Future()
+
+    def ask() -> None:
+        try:
+            with urlopen(f"{url}/schema", timeout=timeout) as answer:
+                answered.set_result(answer.read(_MAX_SCHEMA + 1))
+        except Exception as error:
+            answered.set_exception(error)
+
+    Thread(target=ask, daemon=True).start()  # A timeout of urlopen is for each byte.
     try:
-        with urlopen(f"{url}/schema", timeout=timeout) as answer:
-            text = answer.read(_MAX_SCHEMA + 1)
-    except (OSError, HTTPException, ValueError) as error:
+        text = answered.result(timeout)
+    except Exception as error:  # also of parsing HTTP: whatever listens there
         raise ConfigError(f"no OpenEnv server answers at {url}: {described(error)}") from None
     try:
         found = json.loads(text)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Awaitable, Callable, MutableMapping
+from contextlib import suppress
 from typing import Annotated, Any, Final
 from urllib.parse import urlsplit
 
@@ -279,6 +280,7 @@ def _idle_bounded(receive: _Receive, send: _Send, idle: float) -> tuple[_Receive
             answer = json.loads(message["text"])
             if answer["type"] == "observation":
                 playing = not answer["data"]["done"]
-        await send(message)
+        with suppress(OSError):  # Who has left is noticed where the next message is waited for.
+            await send(message)
 
     return receiving, sending

@@ -25,7 +25,9 @@ import numpy as np
 
 from env_server.mario import InfiniteMario
 from env_server.mario.game import Game
-from env_server.mario.level_sets import LEVEL_SETS, LevelFolder, LevelSet, read_folder, resolve_levels
+from env_server.mario.level_sets import LEVEL_SETS, LevelFolder, LevelSet, read_folder
+from env_server.mario.pictures import read_picture
+from glue.console import did_you_mean
 from glue.errors import ConfigError, SaveError
 from glue.options import build
 from glue.plugins.loading import find
@@ -63,8 +65,10 @@ def level_set(name: str) -> LevelSet | LevelFolder:
     if name not in LEVEL_SETS and Path(name.partition("#")[0]).is_dir():
         return read_folder(name)
     name, colon, count = name.partition(":")
-    found = resolve_levels(name)
-    assert found is not None
+    if name not in LEVEL_SETS:
+        what = f"{name!r:.80} is neither a folder of levels nor a set of them"
+        raise ConfigError(f"{what}{did_you_mean(name, LEVEL_SETS)}")
+    found = LEVEL_SETS[name]
     if not colon:
         return found
     most = len(found.numbers)
@@ -77,13 +81,15 @@ def set_name(name: str) -> str:
     """Return the name of a set with the digest of its levels, if they are in a folder.
 
     Raises:
-        ConfigError: as `level_set`.
+        ConfigError: as `level_set`, or a file of the folder holds no level.
     """
     found = level_set(name)
     if isinstance(found, LevelSet):
         return name
     if "," in found.name:
         raise ConfigError(f"a folder of levels has no comma in its path, unlike {name}")
+    for path, sha256 in found.files:
+        read_picture(path, sha256)
     return found.name
 
 

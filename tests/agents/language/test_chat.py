@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
@@ -277,6 +278,9 @@ def test_a_key_is_sent_to_its_endpoint_and_shown_nowhere(monkeypatch: pytest.Mon
         glue.rl_episode()
         assert SECRET not in glue.rl_agent_message("record")
     assert sent == [f"Bearer {SECRET}"]
+    for unbounded in ("timeout", "seconds", "temperature"):
+        with pytest.raises(ConfigError, match=f"option {unbounded} must be from .* not inf"):
+            make_agent("chat", url="http://127.0.0.1/v1", model="m", **{unbounded: math.inf})
     for key, says in ((SECRET, "in clear text"), (f"{SECRET}\n", "no key"), (f"{SECRET}ß", "no key")):
         with pytest.raises(ConfigError, match=says) as refusal:
             Endpoint("http://192.0.2.1/v1" if key == SECRET else "https://192.0.2.1/v1", key)

@@ -120,3 +120,8 @@ def test_mario_is_a_picture_in_characters_and_an_image_on_request() -> None:
     assert image is not None
     assert image.startswith(b"\x89PNG")
     assert made(GRID).image(Observation([1])) is None
+
+
+def test_a_choice_is_read_no_further_than_it_is_legal() -> None:
+    with pytest.raises(IllegalChoice, match="1 to 20 actions"):
+        made(GRID).actions(["1 0*21", "what is never read"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import re
@@ -10,10 +11,11 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any, Literal
@@ -35,7 +37,7 @@ from websockets.sync.server import serve as serve_websockets
 import glue
 import glue.gym
 from glue.errors import ConfigError, SimulatorError
-from glue.openenv.serving import application, serve
+from glue.openenv.serving import _idle_bounded, application, serve
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Step
 from tests.pages import DOCS, follow
@@ -198,6 +200,21 @@ def test_hostile_schema_is_refused_in_one_line(body: bytes | None, expected: str
             glue.make(f"openenv:http://127.0.0.1:{server.server_address[1]}")
 
 
+def test_schema_that_drips_is_not_waited_for() -> None:
+    def drip(listening: socket.socket) -> None:
+        connection, _ = listening.accept()
+        with connection, suppress(OSError):
+            connection.sendall(b"HTTP/1.1 200 OK\r\n\r\n")
+            for _ in range(60):
+                connection.sendall(b" ")
+                time.sleep(0.05)
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=drip, args=[listening], daemon=True).start()
+        with pytest.raises(ConfigError, match=r"no OpenEnv server answers at .*TimeoutError"):
+            glue.make(f"openenv:http://127.0.0.1:{listening.getsockname()[1]}", timeout=0.2)
+
+
 @pytest.mark.parametrize(
     ("answer", "expected"),
     [
@@ -227,6 +244,27 @@ def test_answer_that_is_no_step_is_refused(answer: dict[str, Any] | None, expect
         env.env_start()
         with pytest.raises(SimulatorError, match=expected):
             step(env, 0, "")
+        env.env_cleanup()
+
+
+def test_episode_is_not_continued_over_another_connection(echo: str) -> None:
+    def play(client: ServerConnection) -> None:
+        for _ in range(2):
+            client.recv()
+            value = {"echo": "", "side": "left", "steps": []}
+            client.send(json.dumps({"type": "observation", "data": {"observation": value, "done": False}}))
+        # Returning closes the connection.
+
+    env = glue.make(f"openenv:{echo}", max_text=32)
+    with serve_websockets(play, "127.0.0.1", 0) as server:
+        threading.Thread(target=server.serve_forever).start()
+        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"  # type: ignore[attr-defined]
+        env.env_init()
+        env.env_start()
+        step(env, 0, "")
+        with pytest.raises(SimulatorError, match="closed the connection in the middle of an episode"):
+            step(env, 0, "")
+        env.env_start()
         env.env_cleanup()
 
 
@@ -317,6 +355,14 @@ def test_page_of_another_site_cannot_play(mines: str) -> None:
             urllib.request.urlopen(urllib.request.Request(f"{mines}/schema", headers=headers))
     with pytest.raises(InvalidStatus, match="403"):
         connect(f"{mines.replace('http', 'ws')}/ws", origin="http://example.org")
+
+
+def test_client_that_leaves_before_its_answer_is_no_error() -> None:
+    async def gone(_: Any = None) -> Any:
+        raise OSError
+
+    _, send = _idle_bounded(gone, gone, 1.0)
+    asyncio.run(send({"type": "websocket.send", "text": '{"type": "state"}'}))
 
 
 @pytest.mark.parametrize(

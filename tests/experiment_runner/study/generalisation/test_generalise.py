@@ -16,7 +16,13 @@ from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LEVEL_SETS, LevelFolder, LevelSet, resolve_levels
 from experiment_runner.cli.generalise import generalise
 from experiment_runner.store.database import StorageError
-from experiment_runner.study.generalisation.players import LAST_REWARD, NumberedLevels, SetBack, level_set
+from experiment_runner.study.generalisation.players import (
+    LAST_REWARD,
+    NumberedLevels,
+    SetBack,
+    level_set,
+    set_name,
+)
 from experiment_runner.study.generalisation.summary import summarise, table
 from glue import Action, Observation
 from glue.engine.experiment import Experiment
@@ -173,6 +179,11 @@ def test_levels_in_the_files_of_a_folder_are_a_set(tmp_path: Path) -> None:
         CliRunner().invoke(generalise, ["verify", str(out)], catch_exceptions=False)
     with pytest.raises(ConfigError, match=r"has 0 levels \*\.txt: expected 1 to 10000"):
         level_set(str(tmp_path))
+    with pytest.raises(ConfigError, match="is neither a folder of levels nor a set of them; choose from"):
+        level_set(str(folder / "flat.txt"))
+    (folder / "flat.txt").write_text("hello")
+    with pytest.raises(ConfigError, match=r"flat\.txt, line 1, column 6: "):
+        set_name(str(folder))
 
 
 def test_scores_are_those_of_the_level(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
