@@ -139,6 +139,7 @@ def _serve(
         reason = "stopped"
         return reason
     except HubClosed as goodbye:
+        reason = f"the hub said goodbye to it in another session: {goodbye}"
         return str(goodbye)
     except Refused as refusal:
         reason = str(refusal)  # for the sessions that have let the player in

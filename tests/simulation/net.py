@@ -140,8 +140,6 @@ class Socket:
                     self.dribble -= 1
                     size = 1
                 data = bytes(self.inbox[:size])
-                if self.peer is not None:
-                    self.process.heard = self.peer.process.number
                 del self.inbox[:size]
                 if self.peer is not None and self.peer.pollers:
                     self.peer.notify()  # there is room again

@@ -289,7 +289,7 @@ class Run:
                     random=Random(f"lies {self.seed} {process.number}"),
                     others=[each.name for each in self.sessions if each not in sessions],
                     honest=self._ends,
-                    harmed=self.watch.restarted,
+                    harmed=self.watch.leaves,
                 )
             process.spawn(partial(self._serve, role, players, delay))
             again = partial(start, players=players)
@@ -313,7 +313,6 @@ class Run:
             except Refused as error:
                 self.watch.reached(f"player refused: {_code(error)}")
                 refused = min(2 * refused, 5.0)
-            self.watch.restarted()
             clock.sleep(refused)
 
     def _open_transport(self, *how: Any) -> Any:

@@ -75,11 +75,16 @@ class Watch:
         self.last = 0.0
         self.calls = 0
         self._hubs: dict[int, Hub] = {}
-        self._incarnations: Counter[tuple[int, str]] = Counter()
+        self._incarnations: Counter[tuple[int, str]] = Counter()  # of a session, at a hub
+        # The hub and incarnation of each WELCOME, by the hub's end of its connection, session and number; and
+        # of the last WELCOME that a process has read in a session.
+        self._welcomes: dict[tuple[int, str, int], tuple[int, int]] = {}
+        self._welcomed: dict[tuple[int, str], tuple[int, int]] = {}
         self._carried: set[tuple[ServedPlayer, str, int, int, int]] = set()
         self._roles: dict[int, tuple[Role, tuple[str, ...]]] = {}
         self._troubles: list[tuple[float, float, int]] = []  # time, duration in seconds, process; 0 for all
         self._killed: list[tuple[float, int]] = []
+        self._left: list[tuple[float, int]] = []
         # For sessions whose episode lost a player: the last request until then, and the first after it.
         self._void: dict[str, tuple[int, int]] = {}
         # For each session: losses of players, with the number of the first request that may know of each.
@@ -148,10 +153,10 @@ class Watch:
         self._killed.append((self._run.world.now, process.number))
         self.note(process.name, "killed", process.number)
 
-    def restarted(self) -> None:
-        """Note that the running program starts again, as another peer."""
+    def leaves(self) -> None:
+        """Note that the running program is about to leave all its sessions, or to harm them."""
         current: Any = getcurrent()
-        self._killed.append((self._run.world.now, current.process.number))
+        self._left.append((self._run.world.now, current.process.number))
 
     # Judges.
 
@@ -173,7 +178,8 @@ class Watch:
         }
         if "broke the protocol" in text and numbers & self._run.liars.keys():
             return
-        if any(number in numbers or number in self._hubs for when, number in self._killed if when >= since):
+        gone = [number for when, number in (*self._killed, *self._left) if when >= since]
+        if any(number in numbers or number in self._hubs for number in gone):
             return
         if (
             cause is not None
@@ -230,11 +236,14 @@ class Watch:
             self._run.problems.append(f"(c) session {session.name} was ended without a cause: {text}")
 
     def _carry_out(self, player: ServedPlayer, session: str, seq: int, kind: Kind) -> None:
-        """Judge (a): a program carries out each call of a hub once, until it leaves."""
+        """Judge (a): a program carries out each call of a session once, until it leaves.
+
+        A late call may be of a session that is over by now: it is of the one that the program knows.
+        """
         current: Any = getcurrent()
         process: Process = current.process
-        hub = process.heard or process.number
-        key = (player, session, hub, self._incarnations[hub, session], seq)
+        here = process.number, self._incarnations[process.number, session]
+        key = (player, session, *self._welcomed.get((process.number, session), here), seq)
         self.note(process.name, "carries out", session, kind.name, seq)
         if key in self._carried:
             self._run.problems.append(f"(a) {process.name} carried out {kind.name} {seq} of {session} twice")
@@ -304,7 +313,12 @@ class Watch:
             kind = message.kind
             self._deliveries += 1
             if delivered:
-                self.order.sent(channel.connection._socket, message)
+                end = channel.connection._socket
+                self.order.sent(end, message)
+                if kind is Kind.WELCOME:
+                    hub = end.process.number
+                    incarnation = self._incarnations[hub, message.session]
+                    self._welcomes[end.fd, message.session, message.seq] = hub, incarnation
                 if kind in MOMENTS:
                     self._shown.shown((channel, message.session), message)
                 elif kind is Kind.WELCOME and not message.scalars[1]:
@@ -368,7 +382,13 @@ class Watch:
         def receive_message(transport: Any, max_body: int) -> Message | None:
             message: Message | None = original(transport, max_body)
             if message is not None:
-                self.order.read(transport._socket, message)
+                end = transport._socket
+                self.order.read(end, message)
+                if message.kind is Kind.WELCOME:
+                    welcome = self._welcomes[end.peer.fd, message.session, message.seq]
+                    self._welcomed[end.process.number, message.session] = welcome
+                elif message.kind in (Kind.GOODBYE, Kind.REFUSE):
+                    self.leaves()
             return message
 
         return receive_message

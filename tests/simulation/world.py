@@ -41,7 +41,6 @@ class Process:
     Attributes:
         name: name for people.
         number: a number that no other process has.
-        heard: number of the process whose bytes it has read last.
         alive: whether it has not been killed.
         stopped_until: virtual time before which it gets no core.
         connections: open sockets of the process, in the order of their descriptors.
@@ -52,7 +51,6 @@ class Process:
         self.world = world
         self.name = name
         self.number = len(world.processes)
-        self.heard = 0
         self.alive = True
         self.stopped_until = 0.0
         self.connections: dict[int, Any] = {}

@@ -182,6 +182,16 @@ def test_a_step_whose_answer_was_lost_is_not_carried_out_again_in_any_session() 
     assert agents["b"].calls == ["agent_step 1 [3]"]
 
 
+def test_a_goodbye_in_one_session_ends_the_player_and_the_others_are_told_why() -> None:
+    def hub(hub: Dialogue) -> Script:
+        hub.say(Kind.GOODBYE, 0, "the session was ended", session="a")
+        goodbye = yield Kind.GOODBYE
+        assert goodbye.session == "b"
+        assert "another session: the session was ended" in str(goodbye.scalars[0])
+
+    assert serve(hub, {"a": ScriptedAgent(), "b": ScriptedAgent()}) == "the session was ended"
+
+
 # Mistakes of a user's player
 
 
