@@ -419,6 +419,7 @@ def test_acts_of_the_organiser_are_sealed_and_shown_and_delete_nothing(run: Path
     assert "a reason is a line" in act("exclude", "run", "crash", reason=" ")
     act("exclude", "run", "raise", reason="it read <i>mail</i>")
     assert "played again: crash/mines/0" in act("rerun", "run", "crash/mines/0")
+    assert "1 of 7 trials are not over" in compete(folder, "verify", "run").stderr
     unchanged = compete(folder, "add", "run", "spring.toml", "--reason", "late")
     assert "has no entrant that run does not have" in unchanged.stderr
     with (folder / "spring.toml").open("a") as file:
