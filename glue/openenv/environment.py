@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import sys
 from concurrent.futures import Future
-from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any, Final
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -21,6 +20,7 @@ from glue.gym.spaces import task_spec
 from glue.openenv.fields import read_schema
 from glue.options import Option
 from glue.roles import Environment
+from glue.system.threads import Thread
 from glue.types import Action, Observation, Step
 
 if TYPE_CHECKING:

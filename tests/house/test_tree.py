@@ -48,7 +48,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*"],
     **dict.fromkeys(("anyio", "mcp", "mcp_types"), ("agents/language/server.py",)),
-    "http.client": ["agents/language/endpoint.py", "glue/openenv/environment.py"],
+    "http.client": ["agents/language/endpoint.py"],
     "openenv": ["glue/openenv/*"],
     "pydantic": ["glue/openenv/serving.py"],
     "uvicorn": ["agents/language/server.py", "glue/openenv/serving.py", "experiment_runner/view/server.py"],

@@ -361,8 +361,11 @@ def test_client_that_leaves_before_its_answer_is_no_error() -> None:
     async def gone(_: Any = None) -> Any:
         raise OSError
 
-    _, send = _idle_bounded(gone, gone, 1.0)
-    asyncio.run(send({"type": "websocket.send", "text": '{"type": "state"}'}))
+    async def answer() -> None:
+        _, send = _idle_bounded(gone, gone, 1.0)
+        await send({"type": "websocket.send", "text": '{"type": "state"}'})
+
+    asyncio.run(answer())
 
 
 @pytest.mark.parametrize(
