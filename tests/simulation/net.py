@@ -438,7 +438,7 @@ class Net:
         sender.flying -= len(item)
         if peer.closed:
             self.reset(sender)
-        elif not peer.error:
+        elif not (peer.error or peer.eof):  # a connection that has failed takes nothing any more
             peer.inbox += item
             peer.notify()
 

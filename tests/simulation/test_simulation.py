@@ -72,6 +72,7 @@ HALF_AN_EPISODE: Final = (
         pytest.param(35634, None, id="a player that is refused in one session is lost in the others"),
         pytest.param(2973, None, id="a player that is told goodbye in one session is lost in the others"),
         pytest.param(2163, None, id="a late call of a session that is over is none of its successor"),
+        pytest.param(3775, None, id="nothing arrives over a connection that has failed"),
     ],
 )
 def test_what_once_broke_a_promise_does_so_no_more(seed: int, faults: list[Fault] | None) -> None:
