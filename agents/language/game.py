@@ -138,8 +138,8 @@ class Game:
         self._options = options
         self._clock = clock
         self.texts: Texts | None = None
-        self.turn = 0
-        self.phase = Phase.WAITING
+        self.turn: int = 0
+        self.phase: Phase = Phase.WAITING
         self._episode = _Episode()
         self._told = False  # the rules
         self._call: tuple[int, object] | None = None  # the last turn and choice

@@ -265,8 +265,7 @@ class Container(Running):
         with suppress(OSError, DockerException, HTTPError):  # the engine is gone
             for event in self._events:
                 if event["Action"] == "oom":
-                    self.offence = f"used more than {self._memory / 2**20:g} MiB of memory"
-                    self._end(self.offence)
+                    self._offend(f"used more than {self._memory / 2**20:g} MiB of memory")
                 elif event["Action"] == "kill" and not self._stopped:
                     self._lose("the container engine was told to kill the container, or to end")
                 elif event["Action"] == "die":
@@ -279,15 +278,6 @@ class Container(Running):
                     late.start()
         if not self._stopped:
             self._lose("the container engine went away")
-
-    def _lose(self, why: str) -> None:
-        if self.reason is None:
-            self.lost = why
-        self._end(why)
-
-    def _end(self, reason: str) -> None:
-        self.reason = self.reason or reason
-        self._over.set()
 
 
 class _NotStarted(Running):

@@ -88,6 +88,19 @@ class Running:
         """End the program and its children, and release its resources; may be called twice."""
         self._over.set()
 
+    def _offend(self, how: str) -> None:
+        self.offence = how
+        self._end(how)
+
+    def _lose(self, why: str) -> None:
+        if self.reason is None:
+            self.lost = why
+        self._end(why)
+
+    def _end(self, reason: str) -> None:
+        self.reason = self.reason or reason
+        self._over.set()
+
 
 class Starter:
     """Starts entrants of one kind."""
