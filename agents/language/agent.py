@@ -1,4 +1,4 @@
-"""What both language agents have in common: a language model chooses their actions."""
+"""The base class of both language agents: a language model chooses their actions."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ class ChatAgent(LanguageAgent):
 
 
 class Reply(NamedTuple):
-    """What a model has answered, and how many tokens it read and wrote."""
+    """A model's answer, and the numbers of tokens that it read and wrote."""
 
     text: str
     tokens_in: int

@@ -56,7 +56,7 @@ UNTIL: Final = (
     "end: not at all; reward: after a reward that differs from that of its first action; change: once the "
     "observation differs from that before it"
 )
-"""What the values of `Until` mean."""
+"""The meanings of the values of `Until`."""
 
 
 @dataclass(kw_only=True)
@@ -74,7 +74,7 @@ class GameOptions:
 
 @dataclass
 class Counts:
-    """What is counted of an episode."""
+    """Counts of an episode."""
 
     choices: int = 0
     illegal: int = 0
@@ -219,7 +219,7 @@ class Game:
     # The model's side.
 
     def look(self, image: bool = False) -> Answer:
-        """Return what is seen, perhaps also as an image; the first time with the rules.
+        """Return the view of the game, perhaps with an image; the first time with the rules.
 
         Raises:
             GameOver: the session is over.
@@ -236,7 +236,7 @@ class Game:
         return answer._replace(text=rules + answer.text, image=picture)
 
     def view(self) -> Answer:
-        """Return what is seen now, and how the episode stands."""
+        """Return the present observation and the state of the episode."""
         now, options = self._episode, self._options
         left = max(0, options.steps - 1 - now.steps) if options.steps else None
         seconds = round(self.time_left, 3) if options.seconds else None

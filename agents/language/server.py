@@ -162,8 +162,8 @@ def play(agent: LanguageAgent, tool: str, arguments: Mapping[str, Any]) -> Answe
             return Answer(str(error), game.view().data, error=True)
         agent.changed.notify_all()
         agent.changed.wait_for(lambda: game.answer(turn) is not None, _PATIENCE)
-        text = f"{game.view().text} Repeat this call to get its answer."
-        return game.answer(turn) or game.view()._replace(text=text)
+        view = game.view()
+        return game.answer(turn) or view._replace(text=f"{view.text} Repeat this call to get its answer.")
 
 
 def make_server(agent: MCPAgent) -> Server[Any]:

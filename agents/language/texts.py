@@ -27,7 +27,7 @@ _TIMES: Final = re.compile(r"(.*?)\s*(?:\*\s*([0-9]{1,9}))?", re.DOTALL)
 
 
 class IllegalChoice(GlueError):
-    """What the model has chosen is no legal action, or too many; the message says what is legal."""
+    """The model's choice is no legal action, or too many; the message says what is legal."""
 
 
 class Texts:
@@ -143,7 +143,7 @@ def _enumerated(space: Space) -> dict[str, Action]:
 
 
 def _numbers(space: Space) -> str:
-    """Return what a value of a space is, in words."""
+    """Return a description of the values of a space."""
     letters = [f"{space.chars} letters"] if space.chars else []
     parts = [*_runs(space.ints, "whole number"), *_runs(space.doubles, "number"), *letters]
     return ", ".join(parts[:_MOST_NUMBERS])

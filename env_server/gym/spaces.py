@@ -1,4 +1,4 @@
-"""What the Gymnasium environments share: their games, and the spaces of views and actions."""
+"""Common parts of the Gymnasium environments: their games, and the spaces of views and actions."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ _LACKING: Final = {
     "1": "a hidden mushroom that gives a life, which the engine of 2009 does not have",
     "L": "a brick with a mushroom that gives a life, which the engine of 2009 does not have",
 }
-"""What the engine of 2009 does not have, by its character in either notation."""
+"""Things that the engine of 2009 lacks, by their character in either notation."""
 _PIPE: Final = "tT"
 _MARKS: Final = "MF"  # the start and the goal
 _ADDITION: Final = re.compile(r"(\d{1,4}) +(\d{1,2}) +(\S)")

@@ -45,7 +45,7 @@ _MASKED: Final = tuple(
 include it."""
 
 _SHOWN: Final = ("devices/system/cpu", "fs/cgroup")
-"""What a jail sees of /sys: the list of processors, and its own control group."""
+"""The parts of /sys that a jail sees: the list of processors, and its own control group."""
 
 _PROCESSOR: Final = re.compile(r"cpu(\d+|freq|idle)")
 """Folders in `devices/system/cpu` that show how busy and how fast each processor is."""

@@ -77,7 +77,7 @@ class Remaining(NamedTuple):
 
 
 class Definition(NamedTuple):
-    """What defines a run, apart from a plan.
+    """The definition of a run that is made without a plan.
 
     specs    its trials
     files    contents of the files that describe it, by name

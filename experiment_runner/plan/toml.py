@@ -32,7 +32,7 @@ _WORDS: Final = {
     "`array`": 'a list, as in ["one", "two"]',
     "`object`": "a table, as in { name = 1 }",
 }
-"""What msgspec's messages call the types of a value, and what a user does."""
+"""The types of values as msgspec's messages name them, and as people do."""
 
 
 class SettingError(ExperimentError):

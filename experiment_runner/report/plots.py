@@ -78,7 +78,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What a user sets of a figure.
+    """Settings of a figure.
 
     Args:
         title: text above it; None for a description of what is drawn.

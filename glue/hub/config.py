@@ -133,7 +133,7 @@ class Bind:
 
     @property
     def warning(self) -> str:
-        """Who else can join, unless keys or a file mode prevent it; otherwise empty."""
+        """Those who can join uninvited; empty if keys or a file mode prevent it."""
         if self.keys is not None or (self.url.startswith("ipc://") and self.url[6] != "@"):
             return ""
         return "every user of this machine" if is_local(self.url) else "everyone who reaches this machine"

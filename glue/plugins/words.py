@@ -23,7 +23,7 @@ _VERSION: Final = re.compile(r"-v\d+$")
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """What an environment says of itself.
+    """An environment's description of itself, for a language model.
 
     Args:
         rules: what happens in the task, what pays, and how to read the picture.
@@ -43,7 +43,7 @@ def find_words(spec: TaskSpec) -> Words:
 
 
 def find_picture(spec: TaskSpec) -> Callable[[Observation, bool], list[str]] | None:
-    """Return what draws the observations of a task spec's environment in characters, or None."""
+    """Return the drawing, in characters, of the environment of a task spec; None if it has none."""
     draw: Callable[[Observation, bool], list[str]] | None = _offered("glue.renderers", spec)
     return draw
 
