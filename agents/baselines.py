@@ -16,7 +16,7 @@ from glue.types import Action, Observation
 
 
 class RandomAgent(Agent):
-    """Acts at random, evenly within the bounds of the task spec; it learns nothing."""
+    """Acts at random, evenly among the legal actions of the task spec and of a mask; it learns nothing."""
 
     name: ClassVar[str] = "random"
 
@@ -43,10 +43,10 @@ class RandomAgent(Agent):
         self._draws = Draws(actions, self._draws.settle())
 
     def agent_start(self, observation: Observation) -> Action:
-        return self._act()
+        return self._act(observation)
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
-        return self._act()
+        return self._act(observation)
 
     def agent_message(self, message: str) -> str:
         return f"agent {self.name} answers no messages"
@@ -57,8 +57,15 @@ class RandomAgent(Agent):
     def agent_load(self, data: bytes) -> None:
         self._draws = Draws(self._space, unpack_generator(data, self.name))
 
-    def _act(self) -> Action:
-        return Action._wrap(self._draws.draw())  # drawn within the bounds: no check is needed
+    def _act(self, observation: Observation) -> Action:
+        if observation.mask is None:
+            return Action._wrap(self._draws.draw())  # drawn within the bounds: no check is needed
+        generator = self._draws.settle()
+        ints, doubles, chars = self._space.sample(generator)
+        for i, mask in enumerate(legal(observation, self._space)):
+            choices = np.flatnonzero(mask)
+            ints[i] = self._space.ints[i].low + choices[generator.integers(len(choices))]
+        return Action(ints, doubles, chars)
 
 
 class SkeletonAgent(RandomAgent):
