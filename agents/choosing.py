@@ -5,29 +5,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
+
+from glue.taskspec import legal_values
+from glue.types import Observation
 
 
 def epsilon_greedy(
-    generator: np.random.Generator,
-    epsilon: float,
-    values: Sequence[float],
-    mask: npt.NDArray[np.bool_] | None = None,
+    generator: np.random.Generator, epsilon: float, values: Sequence[float], observation: Observation
 ) -> int:
-    """Choose an action: any legal one with the chance to explore, otherwise one of the best of them.
+    """Choose an action of one int: any legal one with the chance to explore, otherwise one of the best.
 
     Args:
         generator: draws whether to explore, then the action if more than one qualifies.
         epsilon: the chance to explore.
         values: of the actions, from 0 on.
-        mask: which of them are legal, at least one; further bits are ignored. None if all are legal.
+        observation: with the mask of the legal actions, if there is one.
+
+    Raises:
+        RemoteProtocolError: the mask does not fit the number of actions.
     """
     choices: Sequence[int] = range(len(values))
-    if mask is not None:
-        choices = np.flatnonzero(mask[: len(values)]).tolist()
+    if observation.packed_mask:
+        (legal,) = legal_values(observation, (len(values),))
+        choices = np.flatnonzero(legal).tolist()
         values = [values[choice] for choice in choices]
     if generator.random() < epsilon:
-        return choices[generator.integers(len(choices))]
+        return choices[int(generator.integers(len(choices)))]
     highest = max(values)
     best = [choice for choice, value in zip(choices, values, strict=True) if value == highest]
     return best[generator.integers(len(best))] if len(best) > 1 else best[0]

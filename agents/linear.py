@@ -36,6 +36,7 @@ class LinearAgent(Agent):
     """
 
     name = "linear"
+    agent_masks = True
 
     @dataclass(frozen=True, kw_only=True)
     class Options:
@@ -145,7 +146,7 @@ class LinearAgent(Agent):
         values = [
             math.fsum(weights[(cell + choice) % _WEIGHTS] for cell in cells) for choice in range(actions)
         ]
-        choice = epsilon_greedy(self._generator, self._options.epsilon, values, observation.mask)
+        choice = epsilon_greedy(self._generator, self._options.epsilon, values, observation)
         return [(cell + choice) % _WEIGHTS for cell in cells], choice, values[choice]
 
     def _cells(self, numbers: list[float]) -> list[int]:

@@ -37,6 +37,8 @@ class SarsaAgent(Agent):
     the task spec's.
     """
 
+    agent_masks = True
+
     def __init__(
         self,
         *,
@@ -135,7 +137,7 @@ class SarsaAgent(Agent):
 
     def _choose(self, state: int, observation: Observation) -> int:
         values = self._values[state * self._num_actions : (state + 1) * self._num_actions]
-        return epsilon_greedy(self._generator, self._epsilon, values, observation.mask)
+        return epsilon_greedy(self._generator, self._epsilon, values, observation)
 
     def _learn(self, target: float) -> None:
         at = self._state * self._num_actions + self._choice
