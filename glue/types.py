@@ -39,11 +39,13 @@ DoubleArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 PREFIX_SIZE: Final = 16
+NOTHING_BESIDE: Final = bytes(4)
+"""Bytes 12 to 15 of a body without mask and extras."""
+
 MAX_MASK_BITS: Final = 8 * (2**16 - 1)
 """Maximum number of values of all ints of an action together that a mask can tell of."""
 
 _PREFIX: Final = struct.Struct("<4I")
-_NOTHING_BESIDE: Final = bytes(4)
 _BESIDE: Final = struct.Struct("<2H")
 _BESIDE_AT: Final = 12
 _FEW_BITS: Final = 256
@@ -207,7 +209,7 @@ class Observation(AbstractType):
     def packed_mask(self) -> bytes:
         """The mask as it crosses the wire, M bytes; empty if every action is legal."""
         body = self._body
-        mask, extras = _BESIDE.unpack_from(body, _BESIDE_AT)
+        mask, extras = beside_sizes(body)
         return body[len(body) - extras - mask : len(body) - extras]
 
     @property
@@ -226,7 +228,7 @@ class Observation(AbstractType):
         Raises:
             RemoteProtocolError: the environment has sent something else.
         """
-        extras = _BESIDE.unpack_from(self._body, _BESIDE_AT)[1]
+        extras = beside_sizes(self._body)[1]
         return unpack_extras(self._body[-extras:]) if extras else {}
 
     def without(self, *, mask: bool = False, extras: bool = True) -> Observation:
@@ -236,9 +238,9 @@ class Observation(AbstractType):
 
     def __repr__(self) -> str:
         shown = super().__repr__()
-        if self._body[_BESIDE_AT:PREFIX_SIZE] == _NOTHING_BESIDE:
+        if not has_beside(self._body):
             return shown
-        mask, extras = _BESIDE.unpack_from(self._body, _BESIDE_AT)
+        mask, extras = beside_sizes(self._body)
         parts = [f"mask=0x{self.packed_mask[:8].hex()}" + ("..." if mask > 8 else "")] if mask else []
         parts += [f"extras of {extras} bytes"] if extras else []
         return f"{shown[:-1]}{', ' * (shown[-2] != '(')}{', '.join(parts)})"
@@ -264,14 +266,20 @@ def body_size(buffer: bytes | bytearray, offset: int = 0) -> int:
     return int(PREFIX_SIZE + 8 * doubles + 4 * ints + chars + (beside & 0xFFFF) + (beside >> 16))
 
 
-def has_beside(body: bytes) -> bool:
-    """Return whether a body has a mask or extras."""
-    return body[_BESIDE_AT:PREFIX_SIZE] != _NOTHING_BESIDE
+def beside_sizes(body: bytes) -> tuple[int, int]:
+    """Return the sizes in bytes of the mask and of the extras of a body."""
+    mask, extras = _BESIDE.unpack_from(body, _BESIDE_AT)
+    return mask, extras
+
+
+def has_beside(body: bytes, offset: int = 0) -> bool:
+    """Return whether the body that starts at `offset` has a mask or extras."""
+    return not body.startswith(NOTHING_BESIDE, offset + _BESIDE_AT)
 
 
 def without_beside(body: bytes, *, mask: bool, extras: bool) -> bytes:
     """Return the body of an observation without its mask, or without its extras."""
-    masked, extra = _BESIDE.unpack_from(body, _BESIDE_AT)
+    masked, extra = beside_sizes(body)
     if not (mask and masked) and not (extras and extra):
         return body
     end = len(body) - extra

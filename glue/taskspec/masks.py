@@ -33,7 +33,7 @@ def mask_sizes(actions: Space) -> tuple[int, ...]:
         bits += repeat * size
         if bits > MAX_MASK_BITS:
             raise TaskSpecError(
-                f"there can be masks for at most {MAX_MASK_BITS} values of all ints of an action together; the "
+                f"there are masks for at most {MAX_MASK_BITS} values of all ints of an action together; the "
                 f"task spec has INTS ({repeat} {range_.low} {range_.high})"
             )
         sizes += [int(size)] * repeat
