@@ -68,7 +68,7 @@ def test_a_mask_has_one_form_there_and_another_here(name: str) -> None:
     if name != "nested":  # Gymnasium has no masks of a Box of ints
         space.seed(1)
         for _ in range(20):
-            assert space.contains(space.sample(mask=mask))
+            assert space.contains(space.sample(mask=codec.unpack(observation)))
 
 
 @pytest.mark.parametrize(
@@ -248,15 +248,15 @@ def test_sarsa_learns_what_infos_allow() -> None:
 
     def returns(**options: bool) -> list[float]:
         agent: Agent = make_agent("sarsa", epsilon=0.05, step_size=0.4)
-        with local(agent, make("gymnasium:Taxi-v4", max_episode_steps=200, **options)) as experiment:
+        with local(agent, make("gymnasium:Taxi-v4", max_episode_steps=100, **options)) as experiment:
             experiment.rl_init(1)
             found = []
-            for _ in range(150):
+            for _ in range(30):
                 experiment.rl_episode()
                 found.append(experiment.rl_return())
         return found
 
-    assert sum(returns(action_mask=True)) > sum(returns()) + 10_000
+    assert sum(returns(action_mask=True)) > sum(returns()) + 3_000
 
 
 def test_a_box_of_numbers_beside_masked_ones_has_no_mask() -> None:
