@@ -18,6 +18,7 @@ using glue_rl::AbstractType;
 using glue_rl::AbstractView;
 using glue_rl::Action;
 using glue_rl::Observation;
+using glue_rl::ObservationView;
 
 template <class Ints>
 double sum(const Ints& ints) {
@@ -60,8 +61,8 @@ class MirrorAgent : public Mirror, public glue_rl::Agent, public glue_rl::Measur
  public:
   glue_rl::Metrics metrics() override { return {{"count", count_}, {"half the count", count_ / 2.0}}; }
   void init(std::string_view) override { count_ = 0; }
-  Action start(const AbstractView& observation) override { return step(0, observation); }
-  Action step(double reward, const AbstractView& observation) override {
+  Action start(const ObservationView& observation) override { return step(0, observation); }
+  Action step(double reward, const ObservationView& observation) override {
     count_ += 1;
     return mirror(observation, {reward});
   }

@@ -16,9 +16,8 @@
 
 namespace {
 
-using glue_rl::AbstractType;
-using glue_rl::AbstractView;
-using glue_rl::detail::HeaderWriter;
+using glue_rl::Observation;
+using glue_rl::detail::Packer;
 using glue_rl::detail::Message;
 
 const std::set<std::string> kRoles = {"peer", "agent", "environment", "experiment"};
@@ -56,8 +55,8 @@ double real(const Json& hex) {
   return value;
 }
 
-AbstractType abstract_type(const Json& one) {
-  AbstractType result;
+Observation observation(const Json& one) {
+  Observation result;
   for (const Json& value : one["ints"].items) result.ints.push_back(static_cast<std::int32_t>(value.number()));
   for (const Json& value : one["doubles"].items) result.doubles.push_back(real(value));
   result.chars = bytes(one["chars"].text);
@@ -69,15 +68,14 @@ std::string body_of(const Json& body) {
   if (body.has("bytes")) return bytes(body["bytes"].text);
   std::string result;
   for (const Json& one : body["abstract"].items) {
-    const AbstractType value = abstract_type(one);
-    std::string written(value.body_size(), '\0');
-    value.write(written.data());
+    std::string written;
+    observation(one).write(written);
     result += written;
   }
   return result;
 }
 
-void write(HeaderWriter& header, const Json& scalar) {
+void write(Packer& header, const Json& scalar) {
   const auto& [type, value] = *scalar.members.begin();
   if (type == "int") header.integer(std::stoull(value.text));
   if (type == "float") header.real(real(value));
@@ -143,11 +141,10 @@ void refuses(Action action) {
   expect(false, "acceptance");
 }
 
-bool same(const AbstractView& view, const Json& one) {
-  const AbstractType read(view), expected = abstract_type(one);
-  std::string read_body(read.body_size(), '\0'), expected_body(expected.body_size(), '\0');
-  read.write(read_body.data());
-  expected.write(expected_body.data());
+bool same(const Observation& read, const Json& one) {
+  std::string read_body, expected_body;
+  read.write(read_body);
+  observation(one).write(expected_body);
   return read_body == expected_body;
 }
 
@@ -172,12 +169,12 @@ void check_decoded(const Json& entry, bool cut_off) {
     return;
   }
   const auto& values = entry["body"]["abstract"].items;
-  expect(same(message.first, values[0]), "observation or action");
-  if (values.size() == 2) expect(same(message.second, values[1]), "action");
+  expect(same(Observation(message.first), values[0]), "observation or action");
+  if (values.size() == 2) expect(same(Observation(message.second), values[1]), "action");
 }
 
 void check_encoded(const Json& entry) {
-  HeaderWriter header;
+  Packer header;
   const auto& scalars = entry["scalars"].items;
   header.begin(scalars.size(), static_cast<std::uint64_t>(entry["code"].number()), entry["session"].text,
                std::stoull(entry["seq"].text));
