@@ -14,13 +14,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from glue.engine.calls import name_of, role_calls, skippable, unfit_for_batch, unsupported
+from glue.engine.calls import Handler, name_of, role_calls, skippable, unfit_for_batch, unsupported
 from glue.engine.engine import Engine, Instruction
 from glue.engine.experiment import Experiment
 from glue.errors import PeerFailed, Unsupported, described
-from glue.roles import AgentLike, EnvironmentLike, capabilities
-from glue.types import CUT_OFF, Action
-from glue.wire.messages import CALLS, Kind, Role, Value
+from glue.roles import AgentLike, EnvironmentLike, MaskAgent, capabilities, offers
+from glue.types import CUT_OFF, Action, Observation
+from glue.wire.messages import BESIDE, CALLS, Kind, Role, Value
 
 
 def local(agent: AgentLike, environment: EnvironmentLike) -> LocalExperiment:
@@ -38,6 +38,10 @@ class LocalExperiment(Experiment):
     def __init__(self, agent: AgentLike, environment: EnvironmentLike) -> None:
         self._engine = Engine(Action())
         self._handlers = role_calls(Role.AGENT, agent) | role_calls(Role.ENVIRONMENT, environment)
+        self._agent_reads_masks = offers(agent, MaskAgent)
+        if not BESIDE.isdisjoint(capabilities(environment)):
+            for kind in (Kind.AGENT_START, Kind.AGENT_STEP):
+                self._handlers[kind] = self._trimming(self._handlers[kind])
         self._unfit = unfit_for_batch(capabilities(environment), capabilities(agent), name_of(agent))
         self._names = {Role.AGENT: name_of(agent), Role.ENVIRONMENT: name_of(environment)}
 
@@ -55,6 +59,8 @@ class LocalExperiment(Experiment):
     def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
         if kind is Kind.RL_INIT and self._unfit:
             raise Unsupported(self._unfit)
+        if type(body) is Observation:
+            body = self._seen(body)
         engine = self._engine
         handlers = self._handlers
         call, scalars, body = engine.begin(kind, scalars, body)
@@ -75,6 +81,13 @@ class LocalExperiment(Experiment):
             engine.abort()
             raise
         return scalars, body
+
+    def _seen(self, observation: Observation) -> Observation:
+        """Return an observation as the agent sees it."""
+        return observation.without(mask=not self._agent_reads_masks, extras=True)
+
+    def _trimming(self, handler: Handler) -> Handler:
+        return lambda scalars, observation: handler(scalars, self._seen(observation))
 
     def _without(self, kind: Kind) -> Instruction:
         """Skip a call that its player does not offer, or raise Unsupported."""
