@@ -43,6 +43,7 @@ impl Mirror {
             ints: shown.ints.iter().rev().copied().chain([self.count]).collect(),
             doubles: doubles.chain([sum(&shown.ints)]).chain(more.iter().copied()).collect(),
             chars: shown.chars.iter().rev().copied().collect(),
+            ..AbstractType::default()
         }
     }
 }
@@ -144,7 +145,7 @@ impl Environment for Mirror {
 /// What the experiment shows of a verb's values.
 fn result(ints: Vec<i32>, mut doubles: Vec<f64>, chars: Vec<u8>) -> Action {
     doubles.push(sum(&ints));
-    Action { ints, doubles, chars }
+    Action { ints, doubles, chars, ..Action::default() }
 }
 
 /// The terminal as a number; 2 for a cut-off.
@@ -177,7 +178,7 @@ fn carry_out(
 ) -> Result<Action, Error> {
     let text = String::from_utf8_lossy(argument);
     let Observation { ints, doubles, .. } = order.observation.clone();
-    let given = Action { ints, doubles, chars: argument.to_vec() };
+    let given = Action { ints, doubles, chars: argument.to_vec(), ..Action::default() };
     let nothing = AbstractType::default();
     let number = || text.parse().expect("a number");
     Ok(match verb {
