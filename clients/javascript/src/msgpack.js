@@ -51,8 +51,15 @@ export class Packer {
   signed(value) {
     if (value >= 0) return this.int(value);
     if (value < ~MAX_INT) throw new RangeError(`integers are from -2^63 to 2^63 - 1, not ${value}`);
-    DOUBLE.setBigInt64(0, BigInt(value));
-    this.#put(0xd3);
+    const small = Number(value);
+    if (small >= -0x20) this.#bytes.push(small & 0xff);
+    else if (small >= -0x80) this.#bytes.push(0xd0, small & 0xff);
+    else if (small >= -0x8000) this.#bytes.push(0xd1, (small >> 8) & 0xff, small & 0xff);
+    else if (small >= -0x80000000) this.#bytes.push(0xd2, (small >> 24) & 0xff, (small >> 16) & 0xff, (small >> 8) & 0xff, small & 0xff);
+    else {
+      DOUBLE.setBigInt64(0, BigInt(value));
+      this.#put(0xd3);
+    }
     return this;
   }
 

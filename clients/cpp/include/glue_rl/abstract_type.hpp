@@ -210,7 +210,7 @@ struct Observation : AbstractType {
   Observation() = default;
   Observation(AbstractType runs) : AbstractType(std::move(runs)) {}
   explicit Observation(const ObservationView& view)
-      : AbstractType(view), mask(view.mask()), extras(detail::unpack(view.extras_)) {}
+      : AbstractType(view), mask(view.mask()), extras(view.extras_.empty() ? Extras() : detail::unpack(view.extras_)) {}
 
   /// Which values of the next action are legal, as `ObservationView::legal` numbers them; empty if all are. An environment
   /// with masks has the word `masks` in its task spec's EXTRA.

@@ -111,10 +111,9 @@ inline Extra unpack_extra(Unpacker& unpacker) {
   }
 }
 
-/// Returns the extras that were received, of which there may be none.
+/// Returns the extras that were received.
 inline Extras unpack(std::string_view packed) {
   Extras extras;
-  if (packed.empty()) return extras;
   Unpacker unpacker(packed, "a map of extras");
   for (auto left = unpacker.map(); left != 0; --left) {
     const std::string name(unpacker.text());

@@ -73,9 +73,6 @@ final class Extras {
 
     /** Returns the extras that were received; they cannot be changed. */
     static Map<String, Object> unpack(byte[] packed) {
-        if (packed.length == 0) {
-            return Map.of();
-        }
         Unpacker unpacker = new Unpacker(packed, "a map of extras");
         Map<String, Object> extras = new LinkedHashMap<>();
         for (int left = unpacker.map(); left > 0; left--) {

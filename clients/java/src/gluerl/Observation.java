@@ -51,7 +51,7 @@ public final class Observation extends AbstractType {
         mask = new byte[sizes & 0xffff];
         byte[] packed = new byte[sizes >>> 16];
         body.get(mask).get(packed);
-        extras = Extras.unpack(packed);
+        extras = packed.length == 0 ? Map.of() : Extras.unpack(packed);
     }
 
     /**
@@ -114,7 +114,7 @@ public final class Observation extends AbstractType {
      * @return an observation that shares the arrays of this one
      */
     public Observation withExtras(Map<String, ?> values) {
-        return new Observation(this, mask, Extras.unpack(Extras.pack(values)));
+        return new Observation(this, mask, values.isEmpty() ? Map.of() : Extras.unpack(Extras.pack(values)));
     }
 
     @Override

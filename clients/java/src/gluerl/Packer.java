@@ -47,8 +47,13 @@ final class Packer {
         if (value >= 0) {
             return integer(value);
         }
-        bytes.write(0xd3);
-        return bigEndian(value, 8);
+        if (value >= -32) {
+            bytes.write((int) value);
+            return this;
+        }
+        int power = value >= Byte.MIN_VALUE ? 0 : value >= Short.MIN_VALUE ? 1 : value >= Integer.MIN_VALUE ? 2 : 3;
+        bytes.write(0xd0 + power);
+        return bigEndian(value, 1 << power);
     }
 
     Packer real(double value) {

@@ -36,7 +36,9 @@ class Packer {
 
   Packer& signed_integer(std::int64_t value) {
     if (value >= 0) return integer(static_cast<std::uint64_t>(value));
-    return byte(0xd3).big_endian(static_cast<std::uint64_t>(value), 8);
+    if (value >= -32) return byte(static_cast<std::uint8_t>(value));
+    const int power = value >= INT8_MIN ? 0 : value >= INT16_MIN ? 1 : value >= INT32_MIN ? 2 : 3;
+    return byte(0xd0 + static_cast<unsigned>(power)).big_endian(static_cast<std::uint64_t>(value), 1 << power);
   }
 
   Packer& real(double value) {
