@@ -1,5 +1,5 @@
-// An agent that acts at random within the bounds of the task spec: Infinite Mario, or any task with ints as actions. Where
-// the environment says which actions are legal, it chooses among them.
+// An agent that acts at random within the bounds of the task spec: Infinite Mario, or any task with ints as actions.
+// Where the environment says which actions are legal, it chooses among them.
 //
 // glue-experiment --env mario --episodes 10         and, beside it: node random.js
 

@@ -136,7 +136,8 @@ class ObservationView : public AbstractView {
   explicit ObservationView(const AbstractView& view) : AbstractView(view) {}
 
   /// Returns whether a value of the next action is legal: all are, unless there is a mask. The values of its ints are
-  /// numbered from 0, one int after another, each from its minimum: after an int from 0 to 2, 3 is the minimum of the next.
+  /// numbered from 0, one int after another, each from its minimum: after an int from 0 to 2, 3 is the minimum of the
+  /// next.
   bool legal(std::size_t value) const noexcept {
     if (mask_.empty()) return true;
     return value / 8 < mask_.size() && (static_cast<unsigned char>(mask_[value / 8]) >> value % 8 & 1) != 0;
@@ -212,8 +213,8 @@ struct Observation : AbstractType {
   explicit Observation(const ObservationView& view)
       : AbstractType(view), mask(view.mask()), extras(view.extras_.empty() ? Extras() : detail::unpack(view.extras_)) {}
 
-  /// Which values of the next action are legal, as `ObservationView::legal` numbers them; empty if all are. An environment
-  /// with masks has the word `masks` in its task spec's EXTRA.
+  /// Which values of the next action are legal, as `ObservationView::legal` numbers them; empty if all are. An
+  /// environment with masks has the word `masks` in its task spec's EXTRA.
   std::vector<bool> mask;
   /// Named values for everyone but the agent.
   Extras extras;

@@ -15,8 +15,9 @@ import java.util.Map;
  * Every kind of message, and what it carries to the hub and from it: docs/protocol-reference.md, "Every kind of message".
  *
  * <p>Scalars are written as one letter each: {@code i} int, {@code f} float, {@code b} bool, {@code e} the end of an
- * episode, which is a bool or {@link Message#CUT_OFF}, {@code t} text, {@code n} int or nil, {@code x} binary, {@code I} array of int, {@code T} array of text, which may be missing in what is
- * received. A null says that the kind does not go that way.
+ * episode, which is a bool or {@link Message#CUT_OFF}, {@code t} text, {@code n} int or nil, {@code x} binary, {@code I}
+ * array of int, {@code T} array of text, which may be missing in what is received. A null says that the kind does not go
+ * that way.
  */
 enum Kind {
     AGENT_INIT(4, "", NONE, "", TEXT),

@@ -55,9 +55,9 @@ public final class Observation extends AbstractType {
     }
 
     /**
-     * Returns whether a value of the next action is legal: all are, unless there is a mask. The values of the action's
-     * ints are numbered from 0, one int after another, each from its minimum: after an int from 0 to 2, 3 is the minimum of
-     * the next.
+     * Returns whether a value of the next action is legal: all are, unless there is a mask. The values of its ints are
+     * numbered from 0, one int after another, each from its minimum: after an int from 0 to 2, 3 is the minimum of the
+     * next.
      *
      * @param value the number of the value
      * @return whether it is legal
@@ -90,7 +90,8 @@ public final class Observation extends AbstractType {
     }
 
     /**
-     * Returns this observation with a mask. An environment with masks has the word {@code masks} in its task spec's EXTRA.
+     * Returns this observation with a mask. An environment with masks has the word {@code masks} in its task spec's
+     * EXTRA.
      *
      * @param legal which values of the next action are legal, numbered as {@link #legal} does; empty if all are
      * @return an observation that shares the arrays of this one
@@ -107,8 +108,8 @@ public final class Observation extends AbstractType {
     }
 
     /**
-     * Returns this observation with named values for everyone but the agent: at most 64, with names of 1 to 64 printable
-     * characters, and 65,535 bytes in all.
+     * Returns this observation with named values for everyone but the agent: at most 64, with names of 1 to 64
+     * printable characters, and 65,535 bytes in all.
      *
      * @param values each an Integer or Long, a Float or Double, a String, a byte[], a long[] or a double[]
      * @return an observation that shares the arrays of this one

@@ -178,9 +178,9 @@ class Link {
     heartbeat_ = Milliseconds(static_cast<int>(1000 * (seconds > 0.01 ? std::min(seconds, 60.0) : 0.01)));
     timeout_ = std::max(Milliseconds(static_cast<int>(1000 * std::clamp(message.floats[1], 0.0, 86400.0))), heartbeat_);
     max_body_ = std::min<std::uint64_t>(message.ints[1], kMaxBody);
-    const auto holds = [&all = message.capabilities](auto name) { return std::find(all.begin(), all.end(), name) != all.end(); };
-    masks_ = holds("mask");
-    extras_ = holds("extras");
+    const auto& confirmed = message.capabilities;
+    masks_ = std::find(confirmed.begin(), confirmed.end(), "mask") != confirmed.end();
+    extras_ = std::find(confirmed.begin(), confirmed.end(), "extras") != confirmed.end();
     if (waiting_) log("the hub at " + options_.hub + " is there");
     waiting_ = false;
     welcomed_ = true;

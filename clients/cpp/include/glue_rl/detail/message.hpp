@@ -71,7 +71,8 @@ enum Kind : std::uint64_t {
 /// What a body is; agents are shown observations without extras.
 enum class Body { kNone, kBytes, kAction, kSeen, kObservation, kBoth };
 
-/// What a kind carries when it comes from the hub; a scalar is one letter: int, float, bool, text, or Texts, which may be missing.
+/// What a kind carries when it comes from the hub; a scalar is one letter: int, float, bool, text, or Texts, an array that
+/// may be missing.
 struct Shape {
   const char* scalars;
   Body body;
