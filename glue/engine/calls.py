@@ -277,14 +277,17 @@ class _Beside:
             self._offered = frozenset()  # the observations of many games have no place for them
         self._sizes: tuple[int, ...] | None = None
         self._right: set[bytes] = set()  # masks that fit the task spec
+        self._parsed = True
 
     def init(self, task_spec: str, stated: bool) -> bool:
         """Take the task spec; return whether observations have to be checked if their counts are right."""
         self._sizes = None
         self._right.clear()
+        self._parsed = stated
         if MASK in self._offered:
             with suppress(TaskSpecError):
                 spec = parse_task_spec(task_spec)
+                self._parsed = True
                 self._sizes = mask_sizes(spec.actions) if spec.masks else None
         return bool(self._offered) or not stated
 
@@ -296,6 +299,8 @@ class _Beside:
             return
         if unoffered:
             why = f"with {unoffered}, and does not offer this capability (no batch can)"
+        elif packed and not self._parsed:
+            why = ""  # nothing is known of the actions
         elif packed and self._sizes is None:
             why = "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
         else:
