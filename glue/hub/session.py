@@ -19,7 +19,7 @@ from glue.errors import PeerLost, RemoteProtocolError
 from glue.hub.channel import Channel, Memory
 from glue.hub.observers import Observers
 from glue.hub.timing import SlowCalls, TimeBank
-from glue.types import BESIDE_AT, CUT_OFF, NOTHING_BESIDE, Action, has_beside
+from glue.types import BESIDE_AT, CUT_OFF, NOTHING_BESIDE, Action
 from glue.wire.beside import beside_without, readable, readable_by_agent
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
@@ -41,9 +41,6 @@ _RL_ENV_STEP: Final = Kind.RL_ENV_STEP
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
-
-_SHOWING: Final = frozenset({Kind.RL_AGENT_START, Kind.RL_AGENT_STEP})
-"""Verbs that give the agent an observation of the experiment's."""
 
 
 _LIGHT: Final = 2048
@@ -108,6 +105,7 @@ class Session:
 
     __slots__ = (
         "_confirmed",
+        "_copied",
         "_due",
         "_engine",
         "_explained",
@@ -145,6 +143,7 @@ class Session:
         self._lost: dict[Role, str] = {}
         self._lost_since_reply: dict[Role, str] = {}
         self._slow = SlowCalls()
+        self._copied = False  # the outstanding call has a copy of an observation, for the agent
         self._heavy = False  # a body is not light
         self._due = False  # the size of the bodies that are kept has changed
         self._queries = 0  # number of requests without a call since the call `_queries_after`
@@ -169,9 +168,8 @@ class Session:
         """Account for the bodies that are kept."""
         engine, reply = self._engine, self._reply
         sizes = [len(body) for body in engine.bodies if body]
-        shown = engine.given if engine.verb in _SHOWING else engine.observation
-        if shown and has_beside(shown):
-            sizes.append(len(shown))  # at most that of the agent's copy
+        if self._copied and self._outstanding is not None:
+            sizes.append(len(self._outstanding.body))
         if reply is not None and reply.body is not engine.task_spec:
             sizes.append(len(reply.body))
         self._due = False
@@ -433,7 +431,13 @@ class Session:
                 self._fail(ErrorCode.UNSUPPORTED, why)
                 return
         if (kind is _AGENT_STEP or kind is _AGENT_START) and not body.startswith(NOTHING_BESIDE, BESIDE_AT):
-            body = readable_by_agent(body, player.capabilities if player is not None else ())
+            shown = readable_by_agent(body, player.capabilities if player is not None else ())
+            self._copied = shown is not body
+            self._due = self._due or (self._copied and self._heavy)
+            body = shown
+        elif self._copied:
+            self._copied = False
+            self._due = self._due or self._heavy
         self._seq += 1
         body = body or b""
         self._outstanding = outstanding = _message(Message, (kind, self.name, self._seq, scalars, body))
