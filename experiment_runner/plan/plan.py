@@ -20,6 +20,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
+from experiment_runner.plan.extras import Summary
 from experiment_runner.plan.ids import REMOTE, TrialId, label_of
 from experiment_runner.plan.limits import BUDGETS, COUNTS
 from experiment_runner.plan.metrics import MetricsPlan
@@ -163,6 +164,7 @@ class Plan:
         seeds: the part of a trial from which its seed is derived.
         inside: players that are objects in the process of a trial, of `PLAYERS`; does not affect results.
         metrics: the agents' metrics to record; None for none.
+        extras: the environments' extras to record, and as what; see `experiment_runner.plan.extras`.
         tune: the search for the agents' options; None for none.
 
     Raises:
@@ -180,6 +182,7 @@ class Plan:
     inside: tuple[Literal["agent", "env"], ...] = ()
     steps: Annotated[int, _in("steps")] = 0
     metrics: MetricsPlan | None = None
+    extras: Mapping[str, Summary] = field(default_factory=dict)
     tune: TunePlan | None = None
 
     def __post_init__(self) -> None:
@@ -314,6 +317,8 @@ def differences(ours: Plan, theirs: Plan) -> list[str]:
     if ours.metrics != theirs.metrics:
         was, become = (plan.metrics or "not recorded" for plan in (ours, theirs))
         found.append(f"metrics are {become}; they were {was}")
+    if ours.extras != theirs.extras:
+        found.append(f"extras are {dict(theirs.extras)}, not {dict(ours.extras)}")
     for role in ROLES:
         our_sweeps, their_sweeps = ({s.label: s for s in getattr(plan, role)} for plan in (ours, theirs))
         found += [f"{role} lack {label}" for label in our_sweeps if label not in their_sweeps]

@@ -44,7 +44,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
     "gymnasium": ["glue/gym/*", "glue/openenv/*", "env_server/gym/*", "env_server/datasets/*"],
-    **dict.fromkeys(("sb3_contrib", "stable_baselines3"), ["glue/gym/sb3.py"]),
+    **{key: ["glue/gym/sb3.py"] for key in ("sb3_contrib", "stable_baselines3")},
     "pettingzoo": ["glue/gym/games.py"],
     "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*"],
