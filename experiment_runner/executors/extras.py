@@ -57,14 +57,14 @@ class Extras:
         for name in self._summaries.keys() & extras.keys():
             value = extras[name]
             if not isinstance(value, int | float):
-                self._unfit[name] = value
+                self._unfit.setdefault(name, value)
                 continue
             if name not in self._values:
                 self._values[name] = _Values(float(value))
             self._values[name].add(float(value))
 
     def numbers(self) -> dict[str, float]:
-        """Return the number of each extra that the episode has had, by the environment's label and its name."""
+        """Return the number of each extra in the episode, by the environment's label, a dot, and its name."""
         return {
             f"{self._label}.{name}": getattr(self._values[name], how)
             for name, how in self._summaries.items()

@@ -161,8 +161,9 @@ class Recorder:
 
 
 class Meter:
-    """Reader of an agent's metrics in a trial, of the total reward if they are read during episodes, and of the
-    environment's extras.
+    """Reader of an agent's metrics in a trial, and of the environment's extras.
+
+    If metrics are read during episodes, the total reward is, too.
 
     Args:
         glue: the experiment.
@@ -271,9 +272,7 @@ class Meter:
         if own or metrics:
             self._readings.append(Reading(step, {**own, **metrics} if own else metrics))
 
-    def _kept(
-        self, keep: Mapping[str, Keep], number: int, metrics: dict[str, float]
-    ) -> dict[str, float]:
+    def _kept(self, keep: Mapping[str, Keep], number: int, metrics: dict[str, float]) -> dict[str, float]:
         """Return the values to keep, or means in their place."""
         kept = {}
         for name, value in metrics.items():

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
+from experiment_runner.executors.extras import Extras
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import (
     Ended,
@@ -190,7 +191,7 @@ class _Trial:
         self._recorder = (
             Recorder(recording, job.spec, glue, config.questions) if recording is not None else None
         )
-        self._extras = Extras(config.extras, label_of(job.spec)) if config.extras else None
+        self._extras = Extras(config.extras, job.spec.environment_label) if config.extras else None
         metered = config.metrics is not None or self._extras is not None
         self._meter = Meter(glue, config.metrics, job.start, self._extras) if metered else None
         self._done = job.start.after

@@ -138,6 +138,11 @@ class TrialSpec:
         environment = joined.get((self.id, "environment")) if self.environment is None else None
         return self.id.naming(agent, environment)
 
+    @property
+    def environment_label(self) -> str:
+        """The environment's label; `REMOTE` if it joins from outside."""
+        return self.environment.label if self.environment else REMOTE
+
     def step_limit(self, steps: int) -> int:
         """Return the step limit of the next episode, 0 for none.
 
