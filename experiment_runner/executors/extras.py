@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from experiment_runner.plan.extras import Summary, extra_of
@@ -71,11 +71,13 @@ class Extras:
             if name in self._values
         }
 
-    def missing(self) -> str:
-        """Return why an extra of the plan has no number in the episode; "" if all have one."""
+    def missing(self) -> Iterator[str]:
+        """Yield for each extra of the plan without a number in the episode why there is none.
+
+        One whose name has a dot may be that of an environment with another label.
+        """
         for name in self._summaries:
-            if name not in self._values:
-                if name in self._unfit:
-                    return f"the extra {name} is not recorded: it is {self._unfit[name]!r:.40}, not a number"
-                return f"the environment sent no extra {name}: some send extras only if an option says so"
-        return ""
+            if name in self._unfit and name not in self._values:
+                yield f"the extra {name} is not recorded: it is {self._unfit[name]!r:.40}, not a number"
+            elif name not in self._values and "." not in name:
+                yield f"the environment sent no extra {name}: some send extras only if an option says so"

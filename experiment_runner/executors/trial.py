@@ -256,8 +256,8 @@ class _Trial:
         readings = self._meter.end(result)
         if self._meter.missing:
             self._warn("unmetered", f"no metrics are recorded: {self._meter.missing}")
-        if self._extras is not None and (missing := self._extras.missing()):
-            self._warn("unmetered", missing)
+        for why in self._extras.missing() if self._extras is not None else ():
+            self._warn("unmetered", why)
         return readings
 
     def _void(self, error: PeerLost) -> None:
