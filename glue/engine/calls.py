@@ -286,9 +286,13 @@ class _Beside:
         packed = observation.packed_mask
         unoffered = sorted(beside_of(observation._body) - self._offered)
         if unoffered:
-            why = f"with {' and '.join(unoffered)}, and does not offer this capability (no batch can)"
+            why = (
+                f"with {' and '.join(unoffered)}, and does not offer this capability (no batch can)"
+            )
         elif packed and self._sizes is None:
-            why = "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
+            why = (
+                "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
+            )
         else:
             why = mask_fault(packed, self._sizes or ())
         if why:
