@@ -53,9 +53,10 @@ class Extras:
 
     def see(self, observation: Observation) -> None:
         """Take the extras of the episode's next observation."""
-        extras = observation.extras
-        for name in self._summaries.keys() & extras.keys():
-            value = extras[name]
+        for given, value in observation.extras.items():
+            name = extra_of(given, self._label)  # an environment may also put its own name before an extra's
+            if name not in self._summaries:
+                continue
             if not isinstance(value, int | float):
                 self._unfit.setdefault(name, value)
                 continue

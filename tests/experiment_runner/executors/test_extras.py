@@ -127,6 +127,13 @@ def test_the_label_of_an_environment_that_joins_from_outside_may_be_any() -> Non
     assert extras.numbers() == {"remote.coins": 3.0, "remote.kills": 1.0}
 
 
+def test_an_environment_may_put_its_name_before_an_extras() -> None:
+    for label, stored in (("mario", "mario.coins"), ("hard", "hard.mario.coins"), (REMOTE, "remote.coins")):
+        extras = Extras({"mario.coins": "last"}, label)
+        extras.see(Observation(extras={"mario.coins": 3}))
+        assert extras.numbers() == {stored: 3.0}
+
+
 def test_an_attempt_that_became_void_leaves_nothing() -> None:
     with local(Still(), Climbing()) as glue:
         glue.rl_init(1)

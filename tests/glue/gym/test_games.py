@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import glue.gym
 from glue import Action, Agent, Observation, local, make, make_agent
 from glue.errors import ConfigError
 from glue.roles import capabilities
 from glue.taskspec import legal_values, parse_task_spec
 from tests.hubs import over_the_hub
+from tests.pages import DOCS, blocks
 
 pytest.importorskip("pettingzoo.classic.tictactoe_v3", reason="needs PettingZoo: the extra pettingzoo")
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -101,25 +101,18 @@ def test_who_moves_illegally_loses() -> None:
     assert returns(Lowest(), "tictactoe_v3", 1, opponent=OPPONENT, player=1) == [-1.0]
 
 
-def test_maskable_ppo_learns_to_beat_a_random_opponent() -> None:
+def test_maskable_ppo_learns_to_beat_a_random_opponent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the page shows, and then as an agent."""
     pytest.importorskip("sb3_contrib", reason="needs sb3-contrib: the extra sb3")
     pytest.importorskip("torch").set_num_threads(1)
-    import sb3_contrib
-
-    env = glue.gym.wrap(make("pettingzoo:tictactoe_v3"))
-    settings: dict[str, Any] = {"n_steps": 256, "n_epochs": 4, "learning_rate": 2e-3, "seed": 1}
-    model = sb3_contrib.MaskablePPO("MlpPolicy", env, device="cpu", **settings)
-    model.learn(6_000)
-    total = 0.0
-    for seed in range(100):
-        shown, _ = env.reset(seed=seed)
-        over = False
-        while not over:
-            action, _ = model.predict(shown, action_masks=env.action_masks(), deterministic=True)
-            shown, reward, over, _, _ = env.step(action)
-            total += reward
-    env.close()
-    assert total > 55  # at random it is about 30
+    page = (DOCS / "masks.md").read_text(encoding="utf-8")
+    (example,) = (block.body for block in blocks(page, "python") if "MaskablePPO" in block.body)
+    monkeypatch.chdir(tmp_path)
+    exec(example, {})
+    agent = make_agent("sb3", policy="model.zip", algorithm="MaskablePPO")
+    assert sum(returns(agent, "tictactoe_v3", 100)) >= 55  # at random it is about 30
 
 
 @pytest.mark.parametrize(
