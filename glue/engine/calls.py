@@ -34,7 +34,7 @@ from glue.roles import (
 from glue.taskspec import Space, mask_sizes, parse_task_spec
 from glue.taskspec.masks import mask_fault
 from glue.types import CUT_OFF, NOTHING_BESIDE, AbstractType, Action, Observation, has_beside, step_of
-from glue.wire.beside import beside_of
+from glue.wire.beside import beside_without
 from glue.wire.messages import BESIDE, CALLS, MASK, Kind, Role
 
 Answer = tuple[tuple[Any, ...], Any]
@@ -283,16 +283,12 @@ class _Beside:
 
     def check(self, method: str, observation: Observation) -> None:
         """Raise PeerFailed if an observation that `method` returned has what it must not have."""
+        unoffered = beside_without(observation._body, self._offered)
         packed = observation.packed_mask
-        unoffered = sorted(beside_of(observation._body) - self._offered)
         if unoffered:
-            why = (
-                f"with {' and '.join(unoffered)}, and does not offer this capability (no batch can)"
-            )
+            why = f"with {unoffered}, and does not offer this capability (no batch can)"
         elif packed and self._sizes is None:
-            why = (
-                "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
-            )
+            why = "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
         else:
             why = mask_fault(packed, self._sizes or ())
         if why:
