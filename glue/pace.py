@@ -65,6 +65,13 @@ class Pace:
         """Whether an action is carried out at another time than it would be otherwise."""
         return bool(self.rate or self.delay)
 
+    def __str__(self) -> str:
+        """The pace as the end of a sentence, with a comma before it; empty if the environment waits."""
+        rate = f", {self.rate:g} steps per second" if self.rate else ""
+        delay = f", actions delayed by {self.delay} steps" if self.delay else ""
+        late = f", in place of late ones {self.late}" if self.late != REPEAT else ""
+        return f"{rate}{delay}{late}"
+
     @property
     def action(self) -> Action | None:
         """The action that is carried out while the agent is late; None for its last one."""

@@ -20,10 +20,9 @@ from glue.engine.calls import Answer, Handler, name_of, role_calls, skippable, u
 from glue.engine.engine import Engine, Instruction
 from glue.engine.experiment import Experiment
 from glue.engine.pacer import Pacer
-from glue.errors import PeerFailed, Unsupported, described
+from glue.errors import LocalProtocolError, PeerFailed, Unsupported, described
 from glue.pace import Pace
 from glue.roles import AgentLike, EnvironmentLike, capabilities
-from glue.system import clock as system_clock
 from glue.types import CUT_OFF, Action
 from glue.wire.messages import CALLS, Kind, Role, Value
 
@@ -35,7 +34,7 @@ def local(
     environment: EnvironmentLike,
     *,
     pace: Pace = _WAITING,
-    clock: Callable[[], float] = system_clock.monotonic,
+    clock: Callable[[], float] | None = None,
 ) -> LocalExperiment:
     """Return an experiment with this agent and environment; call its verbs.
 
@@ -44,12 +43,19 @@ def local(
         environment: the environment.
         pace: of the environment. In one process nothing has to wait: the time that the agent takes is
             measured, the environment takes none, and between the steps no time passes.
-        clock: returns seconds, to measure the agent's time if the pace has a rate.
+        clock: returns seconds, to measure the agent's time; needed if the pace has a rate.
 
     Raises:
+        LocalProtocolError: there is a rate and no clock.
         PeerFailed: a required method of the role is missing.
     """
-    return LocalExperiment(agent, environment, pace, clock)
+    if pace.rate and clock is None:
+        raise LocalProtocolError("a rate needs a clock: local(..., clock=time.monotonic)")
+    return LocalExperiment(agent, environment, pace, clock or _no_time)
+
+
+def _no_time() -> float:
+    return 0.0
 
 
 class LocalExperiment(Experiment):

@@ -180,7 +180,7 @@ class Session:
         """Account for the bodies that are kept."""
         engine, reply = self._engine, self._reply
         paced = () if self._pacer is None else self._pacer.bodies
-        sizes = [len(body) for body in (*engine.bodies, *paced) if body]
+        sizes = [*{id(body): len(body) for body in (*engine.bodies, *paced) if body}.values()]
         if reply is not None and reply.body is not engine.task_spec:
             sizes.append(len(reply.body))
         self._due = False

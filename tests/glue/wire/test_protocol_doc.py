@@ -154,7 +154,8 @@ def scalars_cell(shape: Shape) -> str:
     cells = [
         ", ".join(f"`{scalar.name}` {type_cell(scalar)}" for scalar in s) for s in (shape.scalars, shape.more)
     ]
-    return f"; with [`{OUTCOME}`](#capabilities) also ".join(filter(None, cells)) or NOTHING
+    capability = "pace" if shape is CALLS[Kind.AGENT_STEP].request else OUTCOME
+    return f"; with [`{capability}`](#capabilities) also ".join(filter(None, cells)) or NOTHING
 
 
 def type_cell(scalar: Scalar) -> str:
