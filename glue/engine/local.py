@@ -29,6 +29,10 @@ from glue.wire.messages import CALLS, Kind, Role, Value
 _WAITING: Final = Pace()
 
 
+def _no_time() -> float:
+    return 0.0
+
+
 def local(
     agent: AgentLike,
     environment: EnvironmentLike,
@@ -54,15 +58,15 @@ def local(
     return LocalExperiment(agent, environment, pace, clock or _no_time)
 
 
-def _no_time() -> float:
-    return 0.0
-
-
 class LocalExperiment(Experiment):
     """RL-Glue's verbs over function calls. Made by `local`."""
 
     def __init__(
-        self, agent: AgentLike, environment: EnvironmentLike, pace: Pace, clock: Callable[[], float]
+        self,
+        agent: AgentLike,
+        environment: EnvironmentLike,
+        pace: Pace = _WAITING,
+        clock: Callable[[], float] = _no_time,
     ) -> None:
         self._engine = Engine(Action())
         calls = role_calls(Role.AGENT, agent)
@@ -79,6 +83,12 @@ class LocalExperiment(Experiment):
 
     def late_actions(self) -> int:
         return 0 if self._paced is None else self._paced.pacer.num_late
+
+    def rl_init(self, seed: int | None = None) -> str:
+        task_spec = super().rl_init(seed)
+        if self._paced is not None and (why := self._paced.pacer.unfit(task_spec)):
+            raise Unsupported(why)
+        return task_spec
 
     def rl_agent_metrics(self) -> dict[str, float]:
         metrics: dict[str, float] = self._call(Kind.RL_AGENT_METRICS)[1]  # in one process they need no body

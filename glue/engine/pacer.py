@@ -23,8 +23,9 @@ from collections import deque
 from typing import Any, Final
 
 from glue.engine.engine import Instruction, Reply
-from glue.errors import RemoteProtocolError
+from glue.errors import RemoteProtocolError, TaskSpecError
 from glue.pace import Pace
+from glue.taskspec import parse_task_spec
 from glue.wire.messages import Kind
 
 _STEP: Final = Kind.AGENT_STEP
@@ -51,8 +52,8 @@ class Pacer:
         self.asked: Instruction | None = None
         self.deadline: float | None = None
         self.num_late: int = 0
+        self._pace = pace
         self._period = 1 / pace.rate if pace.rate else 0.0
-        self._delay = pace.delay
         self._named = named
         self._newest = empty
         self._fresh = False  # the newest action has not been carried out
@@ -67,6 +68,17 @@ class Pacer:
         """The bodies that it keeps, for the account of the host's memory."""
         asked = None if self.asked is None else self.asked.body
         return (self._named, self._newest, asked, *(call.body for call in self._waiting), *self._line)
+
+    def unfit(self, task_spec: str) -> str:
+        """Return why the named action cannot be carried out in an environment; "" if it can."""
+        action = self._pace.action
+        if action is None:
+            return ""
+        try:
+            wrong = parse_task_spec(task_spec).actions.check(action)
+        except TaskSpecError:
+            return ""
+        return f"the action in place of late ones, {self._pace.late}, is illegal: {wrong}" if wrong else ""
 
     def call(self, instruction: Instruction, now: float) -> None:
         """Take a call that the engine makes to its agent; `next_call` is the agent's."""
@@ -110,7 +122,7 @@ class Pacer:
         self.asked = None
         if kind is Kind.AGENT_START:
             self._newest, self._fresh, self._at = body, False, now
-            self._line = deque([body if self._named is None else self._named] * self._delay)
+            self._line = deque([body if self._named is None else self._named] * self._pace.delay)
         elif kind is _STEP:
             self._newest, self._fresh = body, True
         if kind in _ACTING:

@@ -441,11 +441,13 @@ class Session:
                 return
             environment = self.peers.get(Role.ENVIRONMENT)
             games = environment.capabilities if environment is not None else ()
-            if kind is Kind.AGENT_INIT and (
-                why := unfit_for_batch(games, player.capabilities, player.name, self._pacer is not None)
-            ):
-                self._fail(ErrorCode.UNSUPPORTED, why)
-                return
+            if kind is Kind.AGENT_INIT:
+                why = unfit_for_batch(games, player.capabilities, player.name, self._pacer is not None)
+                if self._pacer is not None:
+                    why = why or self._pacer.unfit(body.decode(errors="replace"))
+                if why:
+                    self._fail(ErrorCode.UNSUPPORTED, why)
+                    return
         if self._pacer is not None and role is Role.AGENT:
             self._outstanding = None
             if player is not None:  # or else the call is made when one joins

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 
 import pytest
 
+from agents.baselines import RandomAgent
+from env_server.toys import MinesEnvironment
 from glue.engine.engine import Instruction
+from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment, local
 from glue.engine.pacer import Pacer
 from glue.errors import ConfigError, PeerFailed, RemoteProtocolError, Unsupported
 from glue.pace import Pace
 from glue.types import Action
 from glue.wire.messages import Kind
+from tests.hubs import over_the_hub
 from tests.players import ScriptedAgent, ScriptedEnvironment
 
 
@@ -169,13 +174,22 @@ def test_after_a_failure_a_new_episode_can_begin() -> None:
 
 
 def test_many_games_at_once_have_no_pace() -> None:
-    from agents.baselines import RandomAgent
-    from env_server.toys import MinesEnvironment
-
     environment = MinesEnvironment()
     environment.env_batch = lambda: 2  # type: ignore[attr-defined]
     with pytest.raises(Unsupported, match=r"many games at once .* has no rate and no delay"):
         local(RandomAgent(), environment, pace=Pace(delay=1)).rl_init()
+
+
+@pytest.mark.parametrize("glue", [local, over_the_hub])
+@pytest.mark.parametrize(("late", "wrong"), [("9", "9"), ("1,1", "2"), ("0.5", "double")])
+def test_an_illegal_action_in_place_of_late_ones_is_refused(
+    glue: Callable[..., AbstractContextManager[Experiment]], late: str, wrong: str
+) -> None:
+    with (
+        glue(RandomAgent(), MinesEnvironment(), pace=Pace(delay=1, late=late)) as experiment,
+        pytest.raises(Unsupported, match=f"in place of late ones, {late}, is illegal: .*{wrong}"),
+    ):
+        experiment.rl_init()
 
 
 def test_an_environment_that_is_behind_makes_no_two_steps_at_once() -> None:
