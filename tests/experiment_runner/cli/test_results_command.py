@@ -163,6 +163,7 @@ EXPECTED = [
         "steps": episode,
         "terminal": episode != 2,
         "wall_time": 0.5 * episode,
+        "late": 0,
         "seed": PLAN.expand()[trial].seed,
         "agent": "random" if trial < 2 else "sarsa",
         "environment": "mario",

@@ -222,7 +222,7 @@ def test_table_of_capabilities_is_that_of_the_program() -> None:
 
     documented = {(row[0].strip("`"), name) for row in rows for name in row[1].split(", ")}
     with_calls = {(c.capability, k.name) for k, c in CALLS.items() if c.capability is not None}
-    others = (ONE_RUN, OUTCOME, "truncate", "batch")
+    others = (ONE_RUN, OUTCOME, "truncate", "batch", "pace")
     assert documented == with_calls | {(name, NOTHING) for name in others}
 
 
