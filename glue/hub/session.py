@@ -279,6 +279,8 @@ class Session:
         engine.void(reason)
         if role is Role.AGENT:
             self._release_agent()
+            if self._heavy:
+                self._account()
         if stranded:
             self._fail(code, reason)
 
@@ -388,6 +390,7 @@ class Session:
                 if due is None:
                     return True
                 scalars, body = due
+                self._due = self._heavy
             instruction = self._engine.resume(kind, scalars, body)
         except RemoteProtocolError as error:
             self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
@@ -471,14 +474,14 @@ class Session:
         assert self._pacer is not None
         agent = self.peers[Role.AGENT]
         call = self._pacer.next_call(self._host.now, "pace" in agent.capabilities)
+        if self._pacer.asked is None:
+            self._paced = None
+        if self._due:
+            self._account()
         if call is None:
-            if self._pacer.asked is None:
-                self._paced = None
             return
         self._seq += 1
         self._paced = _message(Message, (call.kind, self.name, self._seq, call.scalars, call.body or b""))
-        if self._due:
-            self._account()
         if self._time is not None:
             self._time.called(call.kind)
         self._host.deliver(agent, self._paced)
@@ -488,6 +491,7 @@ class Session:
         pacer = self._pacer
         if pacer is not None and pacer.deadline is not None and pacer.deadline <= now:
             self._host.now = now
+            self._due = self._heavy
             self._advance(self._engine.resume(_AGENT_STEP, *pacer.due()))
 
     def _release_agent(self) -> None:
