@@ -178,11 +178,12 @@ class Session:
 
     def _account(self) -> None:
         """Account for the bodies that are kept."""
-        engine, reply = self._engine, self._reply
-        paced = () if self._pacer is None else self._pacer.bodies
-        sizes = [*{id(body): len(body) for body in (*engine.bodies, *paced) if body}.values()]
-        if reply is not None and reply.body is not engine.task_spec:
-            sizes.append(len(reply.body))
+        kept = self._engine.bodies
+        if self._pacer is not None:
+            kept += self._pacer.bodies
+        if self._reply is not None:
+            kept += (self._reply.body,)
+        sizes = {id(body): len(body) for body in kept if body}.values()  # some are kept in two places
         self._due = False
         self._heavy = max(sizes, default=0) > _LIGHT
         self._host.memory.account(self, self._base + sum(sizes) if self._heavy else self._base)
