@@ -21,7 +21,9 @@ from glue.console import LOG, one_line
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.hub.config import DEFAULT_SESSION
-from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role, Value
+from glue.types import Observation, has_beside
+from glue.wire.beside import carried, readable_by_agent
+from glue.wire.messages import BESIDE, CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role, Value
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -120,7 +122,8 @@ class RemoteExperiment(Experiment):
         self._loss_before: tuple[str | None] | None = None
         self._given_up: str | None = None
         self._outcome: Mapping[Kind, tuple[Value, ...]] = {}
-        names = {session: (name, (OUTCOME,))}
+        self._carries: frozenset[str] = frozenset()
+        names = {session: (name, (*sorted(BESIDE), OUTCOME))}
         self._link = Link(Role.EXPERIMENT, target.hub, names, wait, context, transport, target.key)
         self._closed = False
         try:
@@ -171,6 +174,7 @@ class RemoteExperiment(Experiment):
             if message.kind is Kind.NOTICE:
                 self._notice(message)
             elif message.kind is Kind.WELCOME:
+                self._carries = carried(message)
                 self._welcome(resumed=bool(message.scalars[1]))
         return message
 
@@ -206,7 +210,10 @@ class RemoteExperiment(Experiment):
         self._outcome = {}
         link = self._link
         self._seq += 1
-        request = Message(kind, self._session, self._seq, scalars, write(body))
+        data = write(body)
+        if isinstance(body, Observation) and has_beside(data):
+            data = readable_by_agent(data, self._carries)
+        request = Message(kind, self._session, self._seq, scalars, data)
         unreceived = 0  # how often the request was sent and, as far as is known, not received
         if link.ready(self._session):
             link.send(request)

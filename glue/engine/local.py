@@ -22,9 +22,9 @@ from glue.engine.experiment import Experiment
 from glue.engine.pacer import Pacer
 from glue.errors import LocalProtocolError, PeerFailed, Unsupported, described
 from glue.pace import Pace
-from glue.roles import AgentLike, EnvironmentLike, capabilities
-from glue.types import CUT_OFF, Action
-from glue.wire.messages import CALLS, Kind, Role, Value
+from glue.roles import AgentLike, EnvironmentLike, MaskAgent, capabilities, offers
+from glue.types import CUT_OFF, Action, Observation
+from glue.wire.messages import BESIDE, CALLS, Kind, Role, Value
 
 _WAITING: Final = Pace()
 
@@ -70,6 +70,10 @@ class LocalExperiment(Experiment):
     ) -> None:
         self._engine = Engine(Action())
         calls = role_calls(Role.AGENT, agent)
+        self._agent_reads_masks = offers(agent, MaskAgent)
+        if not BESIDE.isdisjoint(capabilities(environment)):
+            for kind in (Kind.AGENT_START, Kind.AGENT_STEP):
+                calls[kind] = self._trimming(calls[kind])
         self._paced = _PacedAgent(calls, pace, clock) if pace else None
         if self._paced is not None:
             calls = {kind: partial(self._paced.call, kind) for kind in calls}
@@ -101,6 +105,8 @@ class LocalExperiment(Experiment):
     def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
         if kind is Kind.RL_INIT and self._unfit:
             raise Unsupported(self._unfit)
+        if type(body) is Observation:
+            body = self._seen(body)
         engine = self._engine
         handlers = self._handlers
         call, scalars, body = engine.begin(kind, scalars, body)
@@ -123,6 +129,13 @@ class LocalExperiment(Experiment):
                 self._paced.pacer.reset()
             raise
         return scalars, body
+
+    def _seen(self, observation: Observation) -> Observation:
+        """Return an observation as the agent sees it."""
+        return observation.without(mask=not self._agent_reads_masks, extras=True)
+
+    def _trimming(self, handler: Handler) -> Handler:
+        return lambda scalars, observation: handler(scalars, self._seen(observation))
 
     def _without(self, kind: Kind) -> Instruction:
         """Skip a call that its player does not offer, or raise Unsupported."""

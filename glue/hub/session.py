@@ -21,7 +21,8 @@ from glue.hub.channel import Channel, Memory
 from glue.hub.observers import Observers
 from glue.hub.timing import SlowCalls, TimeBank
 from glue.pace import Pace
-from glue.types import CUT_OFF, Action
+from glue.types import CUT_OFF, Action, has_beside
+from glue.wire.beside import beside_of, readable, readable_by_agent
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
 
@@ -34,16 +35,24 @@ _ALWAYS: Final = frozenset(
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _ENV_STEP: Final = Kind.ENV_STEP
 _AGENT_STEP: Final = Kind.AGENT_STEP
+_ENV_START: Final = Kind.ENV_START
+_AGENT_START: Final = Kind.AGENT_START
 _ERROR: Final = Kind.ERROR
+_RL_ENV_START: Final = Kind.RL_ENV_START
+_RL_ENV_STEP: Final = Kind.RL_ENV_STEP
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
 
+_SHOWING: Final = frozenset({Kind.RL_AGENT_START, Kind.RL_AGENT_STEP})
+"""Verbs that give the agent an observation of the experiment's."""
+
 _LIGHT: Final = 2048
 """Maximum size of a body, in bytes, that a session keeps without accounting for it."""
 
-_BODIES: Final = 6
-"""Maximum number of bodies that a session keeps: those of the engine, and a reply of two."""
+_BODIES: Final = 7
+"""Maximum number of bodies that a session keeps: those of the engine, a copy of the observation without what
+the agent does not read, and a reply of two."""
 
 _BASE: Final = 10_240 + _BODIES * _LIGHT
 """Bytes that a session uses at most besides larger bodies: its engine, the names of its peers, and texts."""
@@ -178,12 +187,16 @@ class Session:
 
     def _account(self) -> None:
         """Account for the bodies that are kept."""
-        kept = self._engine.bodies
+        engine = self._engine
+        kept = engine.bodies
         if self._pacer is not None:
             kept += self._pacer.bodies
         if self._reply is not None:
             kept += (self._reply.body,)
-        sizes = {id(body): len(body) for body in kept if body}.values()  # some are kept in two places
+        sizes = [*{id(body): len(body) for body in kept if body}.values()]  # some are kept in two places
+        shown = engine.given if engine.verb in _SHOWING else engine.observation
+        if shown and has_beside(shown):
+            sizes.append(len(shown))  # at most that of the agent's copy
         self._due = False
         self._heavy = max(sizes, default=0) > _LIGHT
         self._host.memory.account(self, self._base + sum(sizes) if self._heavy else self._base)
@@ -253,11 +266,11 @@ class Session:
         asked = self._outstanding if self._pacer is None or role is Role.ENVIRONMENT else self._paced
         return asked if asked is not None and CALLS[asked.kind].callee is role else None
 
-    def observe(self, channel: Channel) -> None:
-        """Let the peer of `channel` observe."""
+    def observe(self, peer: Peer) -> None:
+        """Let `peer` observe."""
         if self.observers is None:
             self.observers = Observers(self.name, self._host.memory)
-        self.observers.join(channel, self._engine)
+        self.observers.join(peer.channel, peer.capabilities, self._engine)
 
     def lose(self, peer: Peer, why: str, code: ErrorCode) -> None:
         """Remove `peer`: a lost player makes the episode void, a lost experiment is forgotten."""
@@ -381,6 +394,14 @@ class Session:
             return True
         if kind is _ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
             scalars = (scalars[0], True)  # to an older environment every nonzero number is true
+        if (kind is _ENV_STEP or kind is _ENV_START) and has_beside(body):
+            unoffered = sorted(beside_of(body) - peer.capabilities)
+            if unoffered:
+                what = " and ".join(unoffered)
+                text = f"it sent {what} with {kind.name}, and does not offer the capability"
+                self._error(peer, message, ErrorCode.UNSUPPORTED, text)
+                self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} broke the protocol: {text}")
+                return True
         if self._heavy or len(body) > _LIGHT:
             self._replacing(kind, len(body))
         try:
@@ -429,9 +450,12 @@ class Session:
         role = _CALLEES[kind]
         if role is None:
             self._outstanding = None
-            if type(body) is tuple:
-                body = body[0] + body[1]
             experiment = self.peers.get(Role.EXPERIMENT)
+            reads = experiment.capabilities if experiment is not None else frozenset()
+            if type(body) is tuple:
+                body = readable(body[0], reads) + body[1]
+            elif kind is _RL_ENV_STEP or kind is _RL_ENV_START:
+                body = readable(body, reads)
             if kind is Kind.RL_EPISODE and experiment is not None and OUTCOME in experiment.capabilities:
                 scalars += (self._engine.total_reward, self._engine.num_steps)
             reply = _message(Message, (kind, self.name, self._request_seq, scalars, body or b""))
@@ -452,10 +476,13 @@ class Session:
                 if why:
                     self._fail(ErrorCode.UNSUPPORTED, why)
                     return
+        shown = kind is _AGENT_STEP or kind is _AGENT_START
+        if shown and player is not None and has_beside(body):
+            body = readable_by_agent(body, player.capabilities)
         if self._pacer is not None and role is Role.AGENT:
             self._outstanding = None
             if player is not None:  # or else the call is made when one joins
-                self._pacer.call(instruction, self._host.now)
+                self._pacer.call(Instruction(kind, scalars, body), self._host.now)
                 self._ask_agent()
                 if self._pacer.deadline is not None:
                     self._host.at(self._pacer.deadline, self._act)

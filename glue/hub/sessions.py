@@ -22,7 +22,18 @@ from glue.hub.session import Peer, Session
 from glue.hub.timing import TimeBank
 from glue.roles import CAPABILITIES
 from glue.wire.codec import UnknownKind, clip
-from glue.wire.messages import CALLS, OUTCOME, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import (
+    BESIDE,
+    CALLS,
+    OUTCOME,
+    PROTOCOL_VERSION,
+    ErrorCode,
+    Event,
+    Kind,
+    Message,
+    Role,
+    Value,
+)
 
 INSTANCE_SIZE: Final = 16
 """Size in bytes of the random number that identifies a peer across connections."""
@@ -189,10 +200,9 @@ class Sessions:
 
     def _greet(self, channel: Channel, message: Message) -> tuple[ErrorCode, str] | None:
         """Admit the sender of a HELLO, or return why not."""
-        versions, role_name, instance, name, codec, capabilities = message.scalars
+        versions, role_name, instance, name, codec, _ = message.scalars
         assert isinstance(versions, tuple)
         assert isinstance(instance, bytes)
-        assert isinstance(capabilities, tuple)
         assert isinstance(name, str)
         assert isinstance(codec, str)
         if PROTOCOL_VERSION not in versions:
@@ -248,8 +258,7 @@ class Sessions:
                 # It has missed nothing. Sending more again would let it fill the hub's memory.
                 return None
             self._remove(current)
-        offered = _KNOWN.intersection(map(str, capabilities))
-        peer = Peer(session, role, channel, instance, *_named(name, codec), offered, known)
+        peer = Peer(session, role, channel, instance, *_named(name, codec), _offered(message), known)
         self._by_name[session.name] = session
         self._joined.setdefault(channel, {})[session.name] = peer
         if current is None:
@@ -259,7 +268,16 @@ class Sessions:
 
     def _welcome(self, channel: Channel, message: Message, resumed: bool) -> None:
         config = self._config
-        welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.timeout, config.max_body)
+        welcome: tuple[Value, ...] = (
+            PROTOCOL_VERSION,
+            resumed,
+            config.heartbeat,
+            config.timeout,
+            config.max_body,
+        )
+        beside = sorted(_offered(message) & BESIDE)
+        if beside:
+            welcome += (tuple(beside),)
         self.send(channel, Message(Kind.WELCOME, message.session, message.seq, welcome))
 
     def _greet_observer(
@@ -283,12 +301,12 @@ class Sessions:
             for other in gone:
                 self._lose(other, "is gone")
         peer = Peer(
-            session, Role.OBSERVER, channel, instance, *_named(name, codec), frozenset(), confirmed=True
+            session, Role.OBSERVER, channel, instance, *_named(name, codec), _offered(message), confirmed=True
         )
         self._joined.setdefault(channel, {})[session.name] = peer
         self.log(f"session {session.name!r}: observer {peer.label} joined")
         self._welcome(channel, message, resumed=False)
-        session.observe(channel)
+        session.observe(peer)
         return None
 
     def _observers(self, session: Session) -> list[Peer]:
@@ -355,6 +373,13 @@ class Sessions:
     def _mark_unreachable(self, peer: Peer) -> None:
         if peer.unreachable_since is None:
             peer.unreachable_since = self.now
+
+
+def _offered(hello: Message) -> frozenset[str]:
+    """Return the capabilities of a HELLO that matter here."""
+    capabilities = hello.scalars[-1]
+    assert isinstance(capabilities, tuple)
+    return _KNOWN.intersection(map(str, capabilities))
 
 
 def _named(name: str, codec: str) -> tuple[str, str]:

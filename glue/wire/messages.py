@@ -34,6 +34,15 @@ Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, .
 OUTCOME: Final = "outcome"
 """Capability of an experiment that accepts the return and number of steps with the end of an episode."""
 
+MASK: Final = "mask"
+"""Capability of a peer that sends or reads masks of the legal actions."""
+
+EXTRAS: Final = "extras"
+"""Capability of an environment that sends extras, and of an experiment or observer that reads them."""
+
+BESIDE: Final = frozenset({MASK, EXTRAS})
+"""The capabilities for what an observation carries beside its numbers; a hub that has them says so."""
+
 
 class Role(StrEnum):
     """The three programs of RL-Glue, and observers of them."""
@@ -281,7 +290,8 @@ CONTROL: Final[Mapping[Kind, Shape]] = MappingProxyType(
                 Scalar("heartbeat", float),
                 Scalar("timeout", float),
                 Scalar("max_body", int),
-            )
+            ),
+            more=(Scalar("capabilities", tuple, items=str),),
         ),
         Kind.REFUSE: Shape((Scalar("code", str), Scalar("text", str))),
         Kind.HEARTBEAT: _EMPTY,

@@ -19,7 +19,7 @@ GLOBAL_SEEDS: Final = "glue/global_seeds.py"
 HOMES: Final[Mapping[str, Sequence[str]]] = {
     "zmq": ["glue/client/libzmq.py"],
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
-    "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
+    "msgpack": ["glue/extras.py", "glue/wire/*", "experiment_runner/executors/job.py"],
     "msgspec": [
         "experiment_runner/competition/records/*",
         "experiment_runner/competition/settings.py",
