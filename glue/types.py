@@ -209,8 +209,9 @@ class Observation(AbstractType):
     def packed_mask(self) -> bytes:
         """The mask as it crosses the wire, M bytes; empty if every action is legal."""
         body = self._body
-        mask, extras = beside_sizes(body)
-        return body[len(body) - extras - mask : len(body) - extras]
+        mask, extras = _BESIDE.unpack_from(body, _BESIDE_AT)
+        end = len(body) - extras
+        return body[end - mask : end]
 
     @property
     def mask(self) -> BoolArray | None:

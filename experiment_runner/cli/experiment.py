@@ -31,6 +31,7 @@ _ALL: Final = f"{__name__}.all"
 _GROUPS: Final = {
     "Episodes and their results": (
         "--any-reward",
+        "--check-actions",
         "--checkpoint-every",
         "--record",
         "--ask",
@@ -226,6 +227,11 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     help="Accept rewards that are infinite or NaN; otherwise the first one ends the trial.",
 )
 @click.option(
+    "--check-actions",
+    is_flag=True,
+    help="End the trial at an action that the task spec or the observation's mask forbids.",
+)
+@click.option(
     "--checkpoint-every",
     type=click.IntRange(0),
     metavar="N",
@@ -290,7 +296,8 @@ def experiment(**settings: Any) -> int:
         plan, given = planned(options)
         inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
         roles = frozenset(PLAYERS[player] for player in inside)
-        placement = Placement(roles, hub_options(options), any_reward=options.any_reward)
+        checks = {"any_reward": options.any_reward, "check_actions": options.check_actions}
+        placement = Placement(roles, hub_options(options), **checks)
         backend = Backend(options.engine)
         config = RunConfig(
             placement,

@@ -194,6 +194,8 @@ def resume_options(store: Store, config: RunConfig) -> list[str]:
         command += [f"--inside={flag}" for flag, role in PLAYERS.items() if role in config.placement.inside]
     if config.placement.any_reward:
         command.append("--any-reward")
+    if config.placement.check_actions:
+        command.append("--check-actions")
     command += [f"--ask={question}" for question in config.questions]
     if class_files([role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]):
         command.append("--trust")

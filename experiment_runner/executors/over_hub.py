@@ -133,7 +133,8 @@ def over_hub(
             for role, player in named.items():
                 if role not in inside:
                     place = {"hub": url, "session": session, "key": options.key, "hub_key": options.hub_key}
-                    given = {"options": player.options, "any_reward": placement.any_reward, "place": place}
+                    checks = {"any_reward": placement.any_reward, "check_actions": placement.check_actions}
+                    given = {"options": player.options, "place": place, **checks}
                     child = KeptAlive(
                         f"{role} {player.label}",
                         player_command.MODULE,

@@ -15,6 +15,7 @@ from experiment_runner.executors.job import Report
 from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.executors.settings import Placement
 from experiment_runner.plan.plan import TrialSpec
+from glue.engine.checking import CheckedActions
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ExperimentError
@@ -64,4 +65,6 @@ def players_inside(spec: TrialSpec, placement: Placement) -> dict[Role, Any]:
             players[role] = construct(find(role, player.name), player.options)
     if Role.ENVIRONMENT in players and not placement.any_reward:
         players[Role.ENVIRONMENT] = FiniteRewards(players[Role.ENVIRONMENT])
+    if Role.ENVIRONMENT in players and placement.check_actions:
+        players[Role.ENVIRONMENT] = CheckedActions(players[Role.ENVIRONMENT])
     return players

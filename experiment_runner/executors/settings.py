@@ -59,6 +59,7 @@ class Placement:
         opened_legacy: the hub's ports for original RL-Glue programs that are already open.
         any_reward: whether rewards may be infinite or NaN; if not, the first such reward ends the trial, or
             the first such return with an environment from outside.
+        check_actions: whether a named environment refuses an action that its task spec or mask forbids.
     """
 
     inside: frozenset[Role] = frozenset()
@@ -66,6 +67,7 @@ class Placement:
     opened: Mapping[str, OpenAddress] = field(default_factory=dict)
     opened_legacy: Mapping[LegacyPort, OpenAddress] = field(default_factory=dict)
     any_reward: bool = False
+    check_actions: bool = False
 
     @property
     def in_process(self) -> bool:

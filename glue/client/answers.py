@@ -37,8 +37,8 @@ class ServedPlayer:
             kind: (handler, READ[CALLS[kind].request.body])
             for kind, handler in role_calls(role, player).items()
         }
-        self._beside = not BESIDE.isdisjoint(self.capabilities) and role is Role.ENVIRONMENT
-        self._carries: frozenset[str] = BESIDE
+        self._beside = BESIDE.intersection(self.capabilities) if role is Role.ENVIRONMENT else frozenset()
+        self._carried = self._beside  # what the hub carries of it
         self._last_seq = 0
         self._last_call: Message | None = None
         self._last_answer: Message | None = None
@@ -53,7 +53,8 @@ class ServedPlayer:
 
     def welcome(self, message: Message) -> None:
         """Note what the hub can carry beside the numbers of observations, according to a WELCOME."""
-        self._carries = carried(message)
+        confirmed = carried(message)
+        self._carried = self._beside if self._beside <= confirmed else self._beside & confirmed
 
     def answer(self, message: Message) -> Message | None:
         """Return the answer to a call; the same answer if the call is repeated; None if it is outdated."""
@@ -70,8 +71,8 @@ class ServedPlayer:
         handler, read = known
         replied, result = handler(scalars, read(body))
         body = write(result)
-        if self._beside and isinstance(result, Observation):
-            body = readable(body, self._carries)
+        if self._carried is not self._beside and isinstance(result, Observation):
+            body = readable(body, self._carried)
         answer = _message(Message, (kind, session, seq, replied, body))
         self._last_seq = seq
         self._last_answer = answer

@@ -23,7 +23,6 @@ from glue.roles import (
     BatchEnvironment,
     Environment,
     MetricAgent,
-    PacedAgent,
     SaveableAgent,
     SaveableEnvironment,
     SeedableAgent,
@@ -35,7 +34,7 @@ from glue.roles import (
 from glue.taskspec import Space, mask_sizes, parse_task_spec
 from glue.taskspec.masks import mask_fault
 from glue.types import CUT_OFF, NOTHING_BESIDE, AbstractType, Action, Observation, has_beside, step_of
-from glue.wire.beside import beside_of
+from glue.wire.beside import beside_without
 from glue.wire.messages import BESIDE, CALLS, MASK, Kind, Role
 
 Answer = tuple[tuple[Any, ...], Any]
@@ -125,8 +124,6 @@ def agent_calls(agent: Agent) -> dict[Kind, Handler]:
         calls[Kind.AGENT_LOAD] = _loader(agent.agent_load)
     if offers(agent, MetricAgent):
         calls[Kind.AGENT_METRICS] = _metrics(agent, agent.agent_metrics)
-    if offers(agent, PacedAgent):
-        calls[Kind.AGENT_STEP] = _told(agent.agent_pace, step)
     return calls
 
 
@@ -204,15 +201,8 @@ def unsupported(kind: Kind, role: Role, name: str) -> str:
     return f"{role} {name} does not support this: it has no {kind.name.lower()}"
 
 
-def unfit_for_batch(
-    environment: Container[str], agent: Container[str], name: str, paced: bool = False
-) -> str:
-    """Return why an agent cannot act in an environment, given the capabilities of both; "" if it can.
-
-    `paced` says whether the environment has a pace: the rewards of many games could not be added up.
-    """
-    if "batch" in environment and paced:
-        return "an environment of many games at once (capability `batch`) has no rate and no delay"
+def unfit_for_batch(environment: Container[str], agent: Container[str], name: str) -> str:
+    """Return why an agent cannot act in an environment, given the capabilities of both; "" if it can."""
     if "batch" in environment and "batch" not in agent:
         return (
             f"agent {name} does not support this: it has no agent_batch, and the environment is many games "
@@ -232,15 +222,6 @@ def _seeder(method: Callable[[int], None]) -> Handler:
         return _DONE
 
     return seed
-
-
-def _told(method: Callable[[float, float], None], step: Handler) -> Handler:
-    def paced_step(scalars: tuple[Any, ...], observation: Any) -> Answer:
-        if len(scalars) > 1:
-            method(*scalars[1:])
-        return step(scalars, observation)
-
-    return paced_step
 
 
 def _saver(player: object, name: str, method: Callable[[], bytes]) -> Handler:
@@ -302,10 +283,10 @@ class _Beside:
 
     def check(self, method: str, observation: Observation) -> None:
         """Raise PeerFailed if an observation that `method` returned has what it must not have."""
+        unoffered = beside_without(observation._body, self._offered)
         packed = observation.packed_mask
-        unoffered = sorted(beside_of(observation._body) - self._offered)
         if unoffered:
-            why = f"with {' and '.join(unoffered)}, and does not offer this capability (no batch can)"
+            why = f"with {unoffered}, and does not offer this capability (no batch can)"
         elif packed and self._sizes is None:
             why = "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
         else:

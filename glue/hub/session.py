@@ -22,7 +22,7 @@ from glue.hub.observers import Observers
 from glue.hub.timing import SlowCalls, TimeBank
 from glue.pace import Pace
 from glue.types import CUT_OFF, Action, has_beside
-from glue.wire.beside import beside_of, readable, readable_by_agent
+from glue.wire.beside import beside_without, readable, readable_by_agent
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
 
@@ -395,10 +395,9 @@ class Session:
         if kind is _ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
             scalars = (scalars[0], True)  # to an older environment every nonzero number is true
         if (kind is _ENV_STEP or kind is _ENV_START) and has_beside(body):
-            unoffered = sorted(beside_of(body) - peer.capabilities)
+            unoffered = beside_without(body, peer.capabilities)
             if unoffered:
-                what = " and ".join(unoffered)
-                text = f"it sent {what} with {kind.name}, and does not offer the capability"
+                text = f"it sent {unoffered} with {kind.name}, and does not offer the capability"
                 self._error(peer, message, ErrorCode.UNSUPPORTED, text)
                 self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} broke the protocol: {text}")
                 return True

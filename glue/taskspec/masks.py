@@ -15,8 +15,8 @@ from glue.errors import RemoteProtocolError, TaskSpecError
 from glue.taskspec.space import Space
 from glue.types import MAX_MASK_BITS, BoolArray, Observation
 
-_FEW: Final = 256
-"""Maximum number of values for which the result of `legal_values` is cached."""
+_FEW: Final = 32
+"""Maximum size in bytes of a mask for which results are cached."""
 
 
 def mask_sizes(actions: Space) -> tuple[int, ...]:
@@ -53,8 +53,9 @@ def legal_values(observation: Observation, sizes: tuple[int, ...]) -> tuple[Bool
     Raises:
         RemoteProtocolError: the mask does not fit the task spec, or leaves an int no legal value.
     """
-    read = _legal_values if sum(sizes) <= _FEW else _legal_values.__wrapped__
-    return read(observation.packed_mask, sizes)
+    packed = observation.packed_mask
+    read = _legal_values if len(packed) <= _FEW else _legal_values.__wrapped__
+    return read(packed, sizes)
 
 
 @lru_cache(maxsize=1024)
@@ -74,6 +75,12 @@ def mask_fault(packed: bytes, sizes: tuple[int, ...]) -> str:
     """Return why a mask, as it crosses the wire, does not fit ints of `sizes` values; "" if it does."""
     if not packed:
         return ""
+    find = _mask_fault if len(packed) <= _FEW else _mask_fault.__wrapped__
+    return find(packed, sizes)
+
+
+@lru_cache(maxsize=1024)
+def _mask_fault(packed: bytes, sizes: tuple[int, ...]) -> str:
     bits = sum(sizes)
     values = int.from_bytes(packed, "little")
     if len(packed) != (bits + 7) // 8 or values.bit_length() > bits:

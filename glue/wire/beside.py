@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Set
 
-from glue.types import beside_sizes, has_beside, without_beside
+from glue.types import beside_sizes, without_beside
 from glue.wire.messages import EXTRAS, MASK, Message
 
 
-def beside_of(body: bytes) -> frozenset[str]:
-    """Return the capabilities that the sender of an observation with this body needs."""
-    sizes = zip((MASK, EXTRAS), beside_sizes(body), strict=True)
-    return frozenset(capability for capability, size in sizes if size)
+def beside_without(body: bytes, capabilities: Set[str]) -> str:
+    """Return what the sender of an observation has sent without the capability for it; "" if nothing."""
+    mask, extras = beside_sizes(body)
+    if not mask or MASK in capabilities:
+        return EXTRAS if extras and EXTRAS not in capabilities else ""
+    return MASK
 
 
 def readable(body: bytes, capabilities: Set[str]) -> bytes:
     """Return the body of an observation without what a peer with these capabilities does not read."""
-    if not has_beside(body):
-        return body
     return without_beside(body, mask=MASK not in capabilities, extras=EXTRAS not in capabilities)
 
 
