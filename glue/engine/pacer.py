@@ -9,8 +9,8 @@ turn, one call at a time, and the pacer decides what the engine is answered, and
 - The call of a late agent stays outstanding. Observations that come meanwhile replace each other, and their
   rewards are added up; the agent is given the result as soon as it has answered. Other calls wait for that
   answer, too, so that the agent is asked everything that it would be asked otherwise.
-- If the environment itself takes longer than a period, the next step is due a period after its answer: no
-  step comes sooner because another came late.
+- A step is due at least half a period after the observation before it, even if that came late because of
+  the environment or of the host: such a delay is not the agent's.
 - With a delay of d steps, an action is carried out d steps later. The first action of an episode, or the
   named one, fills the gap.
 
@@ -87,8 +87,7 @@ class Pacer:
             if self._waiting:  # a step that the agent has not seen
                 scalars = (self._waiting.pop().scalars[0] + scalars[0],)  # type: ignore[operator]
             if kind is _STEP and self._period:
-                due = self._at + self._period
-                self.deadline = due if due > now else now + self._period
+                self.deadline = max(self._at + self._period, now + self._period / 2)
         elif kind is Kind.AGENT_START:
             self.num_late = 0
         self._waiting.append(Instruction(kind, scalars, body))
