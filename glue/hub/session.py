@@ -21,7 +21,7 @@ from glue.hub.channel import Channel, Memory
 from glue.hub.observers import Observers
 from glue.hub.timing import SlowCalls, TimeBank
 from glue.pace import Pace
-from glue.types import CUT_OFF, Action, has_beside
+from glue.types import BESIDE_AT, CUT_OFF, NOTHING_BESIDE, Action, has_beside
 from glue.wire.beside import beside_without, readable, readable_by_agent
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
@@ -46,6 +46,7 @@ _message: Final = tuple.__new__
 
 _SHOWING: Final = frozenset({Kind.RL_AGENT_START, Kind.RL_AGENT_STEP})
 """Verbs that give the agent an observation of the experiment's."""
+
 
 _LIGHT: Final = 2048
 """Maximum size of a body, in bytes, that a session keeps without accounting for it."""
@@ -394,7 +395,7 @@ class Session:
             return True
         if kind is _ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
             scalars = (scalars[0], True)  # to an older environment every nonzero number is true
-        if (kind is _ENV_STEP or kind is _ENV_START) and has_beside(body):
+        if (kind is _ENV_STEP or kind is _ENV_START) and not body.startswith(NOTHING_BESIDE, BESIDE_AT):
             unoffered = beside_without(body, peer.capabilities)
             if unoffered:
                 text = f"it sent {unoffered} with {kind.name}, and does not offer the capability"
@@ -475,9 +476,8 @@ class Session:
                 if why:
                     self._fail(ErrorCode.UNSUPPORTED, why)
                     return
-        shown = kind is _AGENT_STEP or kind is _AGENT_START
-        if shown and player is not None and has_beside(body):
-            body = readable_by_agent(body, player.capabilities)
+        if (kind is _AGENT_STEP or kind is _AGENT_START) and not body.startswith(NOTHING_BESIDE, BESIDE_AT):
+            body = readable_by_agent(body, player.capabilities if player is not None else ())
         if self._pacer is not None and role is Role.AGENT:
             self._outstanding = None
             if player is not None:  # or else the call is made when one joins
