@@ -6,14 +6,12 @@ attempt at a time. So a thousand attempts of one entrant delay those of another 
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, time, timedelta
-from typing import Final
+from collections.abc import Callable
+from datetime import datetime, time, timedelta
 
 from experiment_runner.competition.records.journal import REQUEST, Act, act
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from glue.errors import ExperimentError
-
-_NEVER: Final = datetime.min.replace(tzinfo=UTC)
 
 
 def queue(state: SeasonState) -> list[Attempt]:
@@ -22,7 +20,7 @@ def queue(state: SeasonState) -> list[Attempt]:
     An attempt's place in the queue is its place in this list.
     """
     turns = [
-        ((turn, entrant.served or _NEVER, one.requested, entrant.name), one)
+        ((turn, entrant.served, one.order), one)
         for entrant in state.entrants.values()
         if not (entrant.excluded or entrant.paused)
         for turn, one in enumerate(entrant.waiting)
@@ -30,19 +28,22 @@ def queue(state: SeasonState) -> list[Attempt]:
     return [one for _, one in sorted(turns, key=lambda turn: turn[0])]
 
 
-def next_attempts(state: SeasonState, now: datetime) -> list[Attempt]:
+def next_attempts(
+    state: SeasonState, now: datetime, ready: Callable[[Attempt], bool] = lambda one: True
+) -> list[Attempt]:
     """Return the attempts that are to be let play now, in this order; none while the season is paused.
 
     Args:
         state: the season.
         now: the time.
+        ready: whether an attempt can play; others are passed over.
     """
     if state.paused or state.closed is not None or now < state.season.opens:
         return []
     playing = {one.entrant for one in state.attempts("playing")}
     chosen: dict[str, Attempt] = {}
     for one in queue(state):
-        if one.entrant not in playing:
+        if one.entrant not in playing and ready(one):
             chosen.setdefault(one.entrant, one)
     return list(chosen.values())[: max(0, state.season.parallel - len(playing))]
 
