@@ -90,15 +90,21 @@ class Enrol(msgspec.Struct, tag_field="do", tag="enrol", forbid_unknown_fields=T
 
 
 class Attempt(msgspec.Struct, tag_field="do", tag="attempt", forbid_unknown_fields=True):
-    """An entrant wants to play, or asks how its attempt goes: one is requested if none waits or plays.
+    """An entrant wants to play, or asks how its attempt goes.
 
     Args:
         entrant: its name.
-        number: the attempt that it asks about; 0 for its current one, or a new one.
+        attempt: the number of the attempt that it asks about; 0 for the one that waits or plays, or a new one.
     """
 
     entrant: str
-    number: int = 0
+    attempt: int = 0
+
+
+class Key(msgspec.Struct, tag_field="do", tag="key", forbid_unknown_fields=True):
+    """The public key with which an entrant's requests are signed is asked for."""
+
+    entrant: str
 
 
 class Withdraw(msgspec.Struct, tag_field="do", tag="withdraw", forbid_unknown_fields=True):
@@ -126,7 +132,7 @@ class Status(msgspec.Struct, tag_field="do", tag="status", forbid_unknown_fields
     """What plays, and what waits."""
 
 
-Request = Organise | Enrol | Attempt | Withdraw | Submit | Status
+Request = Organise | Enrol | Attempt | Key | Withdraw | Submit | Status
 
 _DECODER: Final = msgspec.json.Decoder(Request)
 
