@@ -244,12 +244,17 @@ class Matches(Closing):
 
     def end(self, trial_id: str, failure: str | None) -> None:
         """Store the outcome of a match, or its failure."""
-        record = self._records.pop(trial_id)
-        if failure is not None:
-            record.close()
+        if failure is None:
+            self._finish(trial_id)
+        else:
+            self._records.pop(trial_id).close()
             self._store.record_failure(trial_id, failure)
-            return
-        record_outcome(self._store, trial_id, TrialEnd(self._forfeits.pop(trial_id, None), record.finish()))
+
+    def _finish(self, trial_id: str) -> TrialEnd:
+        """Store how a match ended, and return it."""
+        outcome = TrialEnd(self._forfeits.pop(trial_id, None), self._records.pop(trial_id).finish())
+        record_outcome(self._store, trial_id, outcome)
+        return outcome
 
 
 class _Held(Matches):
