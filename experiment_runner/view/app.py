@@ -28,7 +28,7 @@ from experiment_runner.view.catalog import (
     write_notes,
 )
 from experiment_runner.view.curves import curves, drawn, wanted_by
-from experiment_runner.view.guard import WRITABLE, Address, Guard
+from experiment_runner.view.guard import WRITABLE, Address, Guard, Locked
 from experiment_runner.view.live import Live
 from experiment_runner.view.reader import Cache, Reader, json_response
 from experiment_runner.view.stream import Pulse
@@ -68,13 +68,33 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
         "live": Live(catalog, pulse).open,
     }
     routes = [
-        *_file_routes(),
+        *file_routes("index.html"),
         *stream.routes(pulse, sources),
         *_run_routes(catalog, read),
         *episodes.routes(catalog, Reader("recordings")),  # a thread of their own, as they can be long
     ]
-    handlers = dict.fromkeys((GlueError, KeyError, HTTPException), _error)
-    return Guard(Starlette(routes=routes, exception_handlers=handlers), address, token)
+    return Locked(application(routes, "run"), address, token)
+
+
+def application(routes: Sequence[BaseRoute], thing: str) -> Starlette:
+    """Return an application that answers every error in JSON.
+
+    Args:
+        routes: of it.
+        thing: what a `KeyError` of a route was looking for.
+    """
+
+    async def failed(request: Request, error: Exception) -> Response:
+        match error:
+            case KeyError():
+                return json_response({"error": f"there is no such {thing}"}, 404)
+            case HTTPException():
+                return json_response({"error": error.detail}, error.status_code, error.headers)
+        return json_response({"error": str(error)}, 422)
+
+    return Starlette(
+        routes=routes, exception_handlers=dict.fromkeys((GlueError, KeyError, HTTPException), failed)
+    )
 
 
 def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
@@ -117,8 +137,8 @@ def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
     ]
 
 
-def _file_routes() -> list[BaseRoute]:
-    """Return a route for each file of `static/`, for the page itself, and for the drawings.
+def file_routes(first: str) -> list[BaseRoute]:
+    """Return a route for each file of `static/`, for the first page, and for the drawings.
 
     `/api/drawings` lists the drawings as JSON: `name`, and `problem` if it cannot be loaded. Their files are
     `/drawings/NAME/FILE`.
@@ -137,7 +157,7 @@ def _file_routes() -> list[BaseRoute]:
         return _response(file, _content(name, drawings[name][file]))
 
     return [
-        Route("/", _serve(_FOLDER / "index.html")),
+        Route("/", _serve(_FOLDER / first)),
         *(Route(f"/static/{path.relative_to(_FOLDER).as_posix()}", _serve(path)) for path in found),
         Route("/api/drawings", listing),
         Route("/drawings/{name}/{file}", drawing),
@@ -176,12 +196,3 @@ def _content(name: str, read: Callable[[], bytes]) -> bytes:
         raise
     except Exception as error:
         raise ConfigError(f"the drawing {name} failed: {type(error).__name__}: {error}") from error
-
-
-async def _error(request: Request, error: Exception) -> Response:
-    match error:
-        case KeyError():
-            return json_response({"error": "there is no such run"}, 404)
-        case HTTPException():
-            return json_response({"error": error.detail}, error.status_code)
-    return json_response({"error": str(error)}, 422)

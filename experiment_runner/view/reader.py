@@ -8,7 +8,7 @@ import queue
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from concurrent.futures import Future
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -84,9 +84,9 @@ def as_json(content: object) -> str:
     return json.dumps(_shown(content), allow_nan=False, separators=(",", ":"))
 
 
-def json_response(content: object, status: int = 200) -> Response:
+def json_response(content: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
     """Return a response in JSON."""
-    return Response(as_json(content), status, media_type="application/json")
+    return Response(as_json(content), status, headers, media_type="application/json")
 
 
 def _shown(value: object) -> object:
