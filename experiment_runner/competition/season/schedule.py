@@ -1,25 +1,28 @@
 """Which attempts play next, who may ask for one, and when: pure functions of a season's state and the time.
 
-Entrants take turns: who was let play longest ago is next, with its oldest attempt that waits, and plays one at
-a time. So a thousand attempts of one entrant delay those of another by one.
+Entrants take turns: who was let play longest ago is next, with its oldest attempt that waits. Each plays one
+attempt at a time. So a thousand attempts of one entrant delay those of another by one.
 """
 
 from __future__ import annotations
 
-from datetime import datetime, time, timedelta
+from datetime import UTC, datetime, time, timedelta
+from typing import Final
 
 from experiment_runner.competition.records.journal import REQUEST, Act, act
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from glue.errors import ExperimentError
 
+_NEVER: Final = datetime.min.replace(tzinfo=UTC)
+
 
 def queue(state: SeasonState) -> list[Attempt]:
-    """Return the attempts that wait and may be let play, in the order in which they will be, if none is added."""
+    """Return the attempts that wait and may be let play, in the order in which they will be if none is added.
+
+    An attempt's place in the queue is its place in this list.
+    """
     turns = [
-        (
-            (turn, entrant.served is not None, entrant.served or one.requested, one.requested, entrant.name),
-            one,
-        )
+        ((turn, entrant.served or _NEVER, one.requested, entrant.name), one)
         for entrant in state.entrants.values()
         if not (entrant.excluded or entrant.paused)
         for turn, one in enumerate(entrant.waiting)

@@ -1,4 +1,4 @@
-"""The state of a season: what the acts of its journal have made of it. Nothing here reads a clock or a file."""
+"""The state of a season: what the acts of its journal have made of it. No clock and no file is read."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class Attempt:
         number: among its owner's, from 1.
         requested: when it was queued.
         state: `waiting`, then `playing`, then one of the others, which are final. `over` were played to the
-            end or forfeited; `ours` were not, for a reason that is not the entrant's; `cancelled` never began.
+            end or forfeited; `ours` were not, for a reason that is not the entrant's; `cancelled` never
+            began.
         began: when it was let play; None before.
         ended: when it got its final state; None before.
         why: of `ours` and `cancelled`, the reason; of `over`, why it was forfeited, empty if it was not.
@@ -60,7 +61,7 @@ class Enrolled:
         paused: the reason; empty if it is not paused.
         granted: number of attempts that are left of those that were granted.
         used: number of attempts that were charged to each day.
-        failed: number of attempts that it has forfeited in a row since it last changed something or was resumed.
+        failed: number of attempts that it has forfeited in a row, since its last image or since it was resumed.
         served: when an attempt of it was last let play; None if none was.
     """
 
@@ -89,8 +90,8 @@ class Enrolled:
         return [one for one in self.attempts.values() if one.state == "waiting"]
 
     def effective(self) -> Iterator[tuple[Attempt, Attempt]]:
-        """Yield each attempt that was played or forfeited and that no rerun replaces, withdrawn ones included,
-        after the attempt in whose place it stands: itself, or the first of those that were rerun.
+        """Yield each attempt that is over and that no other, which is over, replaces; withdrawn ones included.
+        Before it comes the attempt in whose place it stands: itself, or the first of those that were rerun.
         """
         last: dict[int, Attempt] = {}
         for one in self.attempts.values():
