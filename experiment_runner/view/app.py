@@ -7,7 +7,7 @@ to a path on the disk.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -68,7 +68,8 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
         "live": Live(catalog, pulse).open,
     }
     routes = [
-        *file_routes("index.html"),
+        Route("/", static_file("index.html")),
+        *file_routes(),
         *stream.routes(pulse, sources),
         *_run_routes(catalog, read),
         *episodes.routes(catalog, Reader("recordings")),  # a thread of their own, as they can be long
@@ -137,13 +138,24 @@ def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
     ]
 
 
-def file_routes(first: str) -> list[BaseRoute]:
-    """Return a route for each file of `static/`, for the first page, and for the drawings.
+def static_files() -> list[str]:
+    """Return the names of all files of `static/`, relative to it."""
+    return [
+        path.relative_to(_FOLDER).as_posix() for path in sorted(_FOLDER.rglob("*")) if path.suffix in _TYPES
+    ]
+
+
+def static_content(name: str) -> bytes:
+    """Return the content of a file of `static/`."""
+    return (_FOLDER / name).read_bytes()
+
+
+def file_routes() -> list[BaseRoute]:
+    """Return a route for each file of `static/`, and for the drawings.
 
     `/api/drawings` lists the drawings as JSON: `name`, and `problem` if it cannot be loaded. Their files are
     `/drawings/NAME/FILE`.
     """
-    found = [path for path in sorted(_FOLDER.rglob("*")) if path.suffix in _TYPES]
     drawings, problems = _drawings()
     listed = [{"name": name, "problem": problems.get(name)} for name in sorted(drawings | problems)]
 
@@ -157,18 +169,18 @@ def file_routes(first: str) -> list[BaseRoute]:
         return _response(file, _content(name, drawings[name][file]))
 
     return [
-        Route("/", _serve(_FOLDER / first)),
-        *(Route(f"/static/{path.relative_to(_FOLDER).as_posix()}", _serve(path)) for path in found),
+        *(Route(f"/static/{name}", static_file(name)) for name in static_files()),
         Route("/api/drawings", listing),
         Route("/drawings/{name}/{file}", drawing),
     ]
 
 
-def _serve(path: Path) -> object:
-    content = path.read_bytes()
+def static_file(name: str) -> Callable[[Request], Awaitable[Response]]:
+    """Return an endpoint that answers with a file of `static/`."""
+    content = static_content(name)
 
     async def endpoint(request: Request) -> Response:
-        return _response(path.name, content)
+        return _response(name, content)
 
     return endpoint
 

@@ -60,9 +60,14 @@ class _Answer(NamedTuple):
 
 
 class Cache:
-    """Cache of the newest answers, by question."""
+    """Cache of the newest answers, by question.
 
-    def __init__(self) -> None:
+    Args:
+        most: number of answers that are kept.
+    """
+
+    def __init__(self, most: int = _MOST_ANSWERS) -> None:
+        self._most = most
         self._answers: OrderedDict[Hashable, _Answer] = OrderedDict()
 
     def get(self, question: Hashable, signs: object, compute: Callable[[], Any]) -> Any:
@@ -73,7 +78,7 @@ class Cache:
             value = compute()
             done = time.monotonic()
             found = self._answers[question] = _Answer(signs, done + _REST * (done - now), value)
-            if len(self._answers) > _MOST_ANSWERS:
+            if len(self._answers) > self._most:
                 self._answers.popitem(last=False)
         self._answers.move_to_end(question)
         return found.value

@@ -19,7 +19,9 @@ _SECONDS_OF_DAY: Final = 86_400
 _BYTES_OF_GIB: Final = 2**30
 
 
-def board_as_json(board: SeasonBoard, state: SeasonState, rules: Sequence[str], viewer: str) -> dict[str, Any]:
+def board_as_json(
+    board: SeasonBoard, state: SeasonState, rules: Sequence[str], viewer: str
+) -> dict[str, Any]:
     """Return the board as JSON, without the attempts of the entrants.
 
     Args:
@@ -29,9 +31,7 @@ def board_as_json(board: SeasonBoard, state: SeasonState, rules: Sequence[str], 
         viewer: see `season_board`.
     """
     mine = next((one for one in board.entrants if one.mine), None)
-    began = {
-        (one.shown, attempt.number): attempt.began for one in board.entrants for attempt in one.attempts
-    }
+    began = {(one.shown, attempt.number): attempt.began for one in board.entrants for attempt in one.attempts}
     return {
         "season": board.competition,
         "state": _state(board, viewer),
@@ -46,7 +46,10 @@ def board_as_json(board: SeasonBoard, state: SeasonState, rules: Sequence[str], 
         ],
         "waiting": [shown for shown, _ in board.waiting],
         "over_time": over_time(board, board.entrants[:_MOST_LINES]),
-        "acts": [{"time": one.time, "act": one.act, "subject": one.subject, "why": one.reason} for one in board.acts],
+        "acts": [
+            {"time": one.time, "act": one.act, "subject": one.subject, "why": one.reason}
+            for one in board.acts
+        ],
         "rules": rules,
         "replays": True,
     }
@@ -101,8 +104,8 @@ def rules_of(competition: Competition, season: Season) -> list[str]:
     limits, day = competition.limits, f"a day ({season.zone})"
     which = {"best": "best attempt", "last": "last attempt", "mean": "mean of all attempts"}[season.count]
     rules = [
-        f"Attempts: {season.attempts_per_day} {day}; one at a time for each entrant, {season.parallel} at once "
-        f"in all, in turn. At most {season.most_waiting} of an entrant wait.",
+        f"Attempts: {season.attempts_per_day} {day}; one at a time for each entrant, {season.parallel} at "
+        f"once in all, in turn. At most {season.most_waiting} of an entrant wait.",
         f"Each attempt plays {competition.trials} trials of each task. An entrant's {which} counts.",
         f"Time: {limits.step_seconds:g} s for an answer; what takes longer is drawn from a bank of "
         f"{limits.bank_seconds:g} s for a trial. {limits.start_seconds:g} s to connect, "
