@@ -29,7 +29,6 @@ from experiment_runner.competition.match import Match
 from experiment_runner.competition.organiser import Matches, Say, log_path
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act, act
-from experiment_runner.competition.records.record import record_path
 from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
 from experiment_runner.competition.season import control, schedule
 from experiment_runner.competition.season.acts import acts_for
@@ -566,9 +565,9 @@ class Server(Matches):
 
     def _verify(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
         assert self._dispatcher is not None
-        spec, path = slot.specs[trial_id], record_path(self._store.directory, trial_id)
-        episodes = tuple(self._store.episodes(trial_id))
-        self._replays[trial_id] = Replay(spec, path, outcome, episodes, self._steps[spec.id.parts[1]])
+        spec = slot.specs[trial_id]
+        steps = self._steps[spec.id.parts[1]]
+        self._replays[trial_id] = Replay(self._store.directory.absolute(), spec, outcome, steps)
         self._until[trial_id] = self._clock() + self._competition.limits.total_seconds + _SLACK_SECONDS
         self._dispatcher.add(trial_id)
 
