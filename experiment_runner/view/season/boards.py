@@ -70,7 +70,7 @@ class Boards:
         def compute() -> bytes:
             board, state, course = self.view(viewer)
             rules = rules_of(course.competition, state.season)
-            return as_json(board_as_json(board, state, rules, viewer)).encode()
+            return as_json(board_as_json(board, state, rules, viewer, self._clock())).encode()
 
         return self._answer("board", viewer, compute)
 
