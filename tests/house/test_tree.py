@@ -22,6 +22,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
     "msgspec": [
         "experiment_runner/competition/records/*",
+        "experiment_runner/competition/season/*",
         "experiment_runner/competition/settings.py",
         "experiment_runner/executors/job.py",
         "experiment_runner/loggers/stream.py",

@@ -1,0 +1,1 @@
+"""A competition that stays open: its rules, its server, and its entrants' side."""
