@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiment_runner.competition.records.journal import ADD, ENTER, EXCLUDE, RERUN, Act, act, acts_of
+from experiment_runner.competition.records.journal import ADD, ENROL, ENTER, EXCLUDE, RERUN, Act, act, acts_of
 from experiment_runner.competition.records.seal import check_seal, record_acts, seal
 from experiment_runner.competition.settings import Competition, load_competition
 from experiment_runner.plan.ids import TrialId
@@ -35,7 +35,7 @@ class Course:
         entered = {
             one.name: Act("", ENTER, one.name, "", player=one.player) for one in self.competition.entrants
         }
-        return entered | {one.subject: one for one in self.acts if one.act in (ENTER, ADD)}
+        return entered | {one.subject: one for one in self.acts if one.act in (ENTER, ADD, ENROL)}
 
     @property
     def excluded(self) -> Mapping[str, str]:

@@ -1,1 +1,1 @@
-"""A competition that stays open: its rules, its server, and its entrants' side."""
+"""A season: a competition that stays open for weeks, with as many attempts as its rules allow."""
