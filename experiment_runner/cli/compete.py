@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from experiment_runner.cli.options import DIRECTORY, naming_out
+from experiment_runner.cli.season_page import page
 from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
 from glue.console import say
@@ -60,6 +61,9 @@ def compete() -> None:
       glue-compete board runs/spring --format html > spring.html
     """
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
+
+
+compete.add_command(page)
 
 
 @compete.command()

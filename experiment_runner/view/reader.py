@@ -8,7 +8,7 @@ import queue
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from concurrent.futures import Future
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -60,9 +60,14 @@ class _Answer(NamedTuple):
 
 
 class Cache:
-    """Cache of the newest answers, by question."""
+    """Cache of the newest answers, by question.
 
-    def __init__(self) -> None:
+    Args:
+        most: number of answers that are kept.
+    """
+
+    def __init__(self, most: int = _MOST_ANSWERS) -> None:
+        self._most = most
         self._answers: OrderedDict[Hashable, _Answer] = OrderedDict()
 
     def get(self, question: Hashable, signs: object, compute: Callable[[], Any]) -> Any:
@@ -73,7 +78,7 @@ class Cache:
             value = compute()
             done = time.monotonic()
             found = self._answers[question] = _Answer(signs, done + _REST * (done - now), value)
-            if len(self._answers) > _MOST_ANSWERS:
+            if len(self._answers) > self._most:
                 self._answers.popitem(last=False)
         self._answers.move_to_end(question)
         return found.value
@@ -84,9 +89,9 @@ def as_json(content: object) -> str:
     return json.dumps(_shown(content), allow_nan=False, separators=(",", ":"))
 
 
-def json_response(content: object, status: int = 200) -> Response:
+def json_response(content: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
     """Return a response in JSON."""
-    return Response(as_json(content), status, media_type="application/json")
+    return Response(as_json(content), status, headers, media_type="application/json")
 
 
 def _shown(value: object) -> object:

@@ -25,7 +25,6 @@ from experiment_runner.competition.records.seal import record_verdict, seal
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import EpisodeResult, ReplayVerdict, TrialEnd
-from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError, GlueError
 from glue.trajectory import ActionSteps, Ending, Episode, Run, TrajectoryReader
@@ -51,34 +50,68 @@ def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -
     seal(store)
     outcomes = store.outcomes()
     problems = 0
-    passive: dict[tuple[str, int], float] = {}
+    found: dict[tuple[str, int], float] = {}
+
+    def passive(spec: TrialSpec, steps: int) -> float:
+        of = spec.id.parts[1:]
+        if of not in found:
+            found[of] = passive_score(spec, steps)
+        return found[of]
+
     for record in store.trials():
         spec = record.spec
         if spec.id not in outcomes:
             continue
-        _, task, number = spec.id.parts
-        path = record_path(store.directory, spec.id)
-        sha256, problem, score = b"", None, math.nan
-        try:
-            sha256 = digest(path)
-            score = _verified_score(store, spec, outcomes[spec.id], path, sha256, steps[task])
-            if outcomes[spec.id].reason is not None:
-                if (task, number) not in passive:
-                    passive[task, number] = passive_score(spec, steps[task])
-                score = passive[task, number]
-        except GlueError as error:
-            problem, score = str(error), math.nan
-        except Exception as error:  # from an environment, which may have changed since
-            problem, score = f"the environment failed: {type(error).__name__}: {error}", math.nan
-        record_verdict(store, spec.id, ReplayVerdict(sha256, problem, score))
-        if problem is not None:
+        path, episodes = record_path(store.directory, spec.id), store.episodes(spec.id)
+        verdict = verify_trial(
+            spec, path, outcomes[spec.id], episodes, steps[spec.id.parts[1]], passive=passive
+        )
+        record_verdict(store, spec.id, verdict)
+        if verdict.problem is not None:
             problems += 1
-            say(f"{spec.id} does not match: {problem}")
+            say(f"{spec.id} does not match: {verdict.problem}")
     return problems
 
 
+def verify_trial(
+    spec: TrialSpec,
+    path: Path,
+    outcome: TrialEnd,
+    episodes: Sequence[EpisodeResult],
+    steps: int,
+    *,
+    passive: Callable[[TrialSpec, int], float] = passive_score,
+) -> ReplayVerdict:
+    """Replay a trial that is over.
+
+    Args:
+        spec: the trial.
+        path: of its record.
+        outcome: how it ended.
+        episodes: its episodes in the database.
+        steps: number of steps of its task; 0 if its episodes count.
+        passive: returns the score of a trial that was forfeited.
+    """
+    sha256, problem, score = b"", None, math.nan
+    try:
+        sha256 = digest(path)
+        score = _verified_score(spec, path, outcome, episodes, steps, sha256)
+        if outcome.reason is not None:
+            score = passive(spec, steps)
+    except GlueError as error:
+        problem, score = str(error), math.nan
+    except Exception as error:  # from an environment, which may have changed since
+        problem, score = f"the environment failed: {type(error).__name__}: {error}", math.nan
+    return ReplayVerdict(sha256, problem, score)
+
+
 def _verified_score(
-    results: Results, spec: TrialSpec, outcome: TrialEnd, path: Path, sha256: bytes, steps: int
+    spec: TrialSpec,
+    path: Path,
+    outcome: TrialEnd,
+    stored: Sequence[EpisodeResult],
+    steps: int,
+    sha256: bytes,
 ) -> float:
     """Return the sum of rewards of a trial.
 
@@ -89,7 +122,7 @@ def _verified_score(
     if sha256 != outcome.digest:
         raise Mismatch(f"{path} is not the record that was finished: bytes in it were changed")
     episodes, score = replay_trial(spec, path)
-    _compare_episodes(results.episodes(spec.id), episodes)
+    _compare_episodes(stored, episodes)
     ends = [end for end, _, _ in episodes]
     if outcome.reason is None:
         total = sum(count for _, count, _ in episodes)

@@ -94,7 +94,7 @@ class Attempt(msgspec.Struct, tag_field="do", tag="attempt", forbid_unknown_fiel
 
     Args:
         entrant: its name.
-        attempt: the number of the attempt that it asks about; 0 for the one that waits or plays, or a new one.
+        attempt: number of the attempt that it asks about; 0 for the one that waits or plays, or a new one.
     """
 
     entrant: str
