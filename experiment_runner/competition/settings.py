@@ -21,6 +21,9 @@ from glue.plugins.loading import located
 _MEBIBYTE: Final = 2**20
 
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,63}")
+NAMES: Final = "up to 64 letters, digits and _ . + - are allowed, and the first is a letter, a digit or _"
+"""The names that are allowed, for messages."""
+
 _SIZE: Final = re.compile(r"(\d{1,12})([kmg]?)")
 _UNITS: Final = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30}
 _SIZES: Final = ("memory", "tmp", "shm", "log")
@@ -294,19 +297,19 @@ def changed(season: Season, name: str, value: str) -> Season:
         raise ExperimentError(f"a season cannot have {name:.80} = {value:.80}") from None
 
 
+def is_name(text: str) -> bool:
+    """Return whether a task or an entrant can have this name; see `NAMES`."""
+    return _NAME.fullmatch(text) is not None
+
+
 def _tables(document: Mapping[str, Any], kind: str) -> list[tuple[str, Any]]:
     """Return the tables of the tasks or the entrants, with their names."""
     tables = document.get(kind)
     if not isinstance(tables, dict) or not tables:
         raise SettingError(f"a competition needs {kind}, each a table, as in: [{kind}.NAME]", kind)
     for name in tables:
-        if not _NAME.fullmatch(name):
-            raise SettingError(
-                f"{name!r} cannot be a name: up to 64 letters, digits and _ . + - are allowed, and the "
-                "first is a letter, a digit or _",
-                kind,
-                name,
-            )
+        if not is_name(name):
+            raise SettingError(f"{name!r} cannot be a name: {NAMES}", kind, name)
     return list(tables.items())
 
 

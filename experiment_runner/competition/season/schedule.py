@@ -6,6 +6,7 @@ attempt at a time. So a thousand attempts of one entrant delay those of another 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC, datetime, time, timedelta
 from typing import Final
 
@@ -30,20 +31,23 @@ def queue(state: SeasonState) -> list[Attempt]:
     return [one for _, one in sorted(turns, key=lambda turn: turn[0])]
 
 
-def next_attempts(state: SeasonState, now: datetime) -> list[Attempt]:
+def next_attempts(
+    state: SeasonState, now: datetime, ready: Callable[[Attempt], bool] = lambda one: True
+) -> list[Attempt]:
     """Return the attempts that are to be let play now, in this order; none while the season is paused.
 
     Args:
         state: the season.
         now: the time.
+        ready: returns whether an attempt can be let play; others are passed over.
     """
     if state.paused or state.closed is not None or now < state.season.opens:
         return []
     playing = {one.entrant for one in state.attempts("playing")}
     chosen: dict[str, Attempt] = {}
     for one in queue(state):
-        if one.entrant not in playing:
-            chosen.setdefault(one.entrant, one)
+        if one.entrant not in playing and one.entrant not in chosen and ready(one):
+            chosen[one.entrant] = one
     return list(chosen.values())[: max(0, state.season.parallel - len(playing))]
 
 
