@@ -25,7 +25,7 @@ import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, cast
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
@@ -43,9 +43,6 @@ from glue.keys.certificates import decode
 from glue.keys.requests import DIGEST, ENTRANT, Once, Unsigned, check
 
 PREFIX: Final = "/season/api/"
-
-_ADMIT: Final = "admit"
-"""Key in a request's state of a function with which the server keeps its connection."""
 
 _MOST_JSON: Final = 2**14
 _MOST_UPLOADS: Final = 4
@@ -218,7 +215,7 @@ class _Entrance:
         self._uploading.add(entrant)
         try:
             with tempfile.NamedTemporaryFile(dir=folder, suffix=".tar") as file:
-                yield file
+                yield cast("BinaryIO", file)
         finally:
             self._uploading.discard(entrant)
 
@@ -242,9 +239,7 @@ class _Entrance:
             self._once.remember(request.headers, now)
         except Unsigned as error:
             raise Denied(f"the request {error}", 403) from None
-        if admit := request.scope.get("state", {}).get(_ADMIT):
-            admit()
-        return entrant
+        return str(entrant)
 
     async def _json(self, request: Request) -> Mapping[str, Any]:
         """Return the body of a request, if it is what was signed."""
@@ -268,7 +263,7 @@ class _Entrance:
             message = "the season's server is not running: try again later, or tell its organiser"
             raise Denied(message, 503, _RESTART_SECONDS) from None
         if reply.pop("ok"):
-            return reply
+            return dict(reply)
         seconds = float(reply.get("retry_after") or 0)
         raise Denied(str(reply["error"]), 429 if seconds else 403, seconds)
 

@@ -1,6 +1,7 @@
 """Try an agent at home, on the tasks of a season, as its server would play them.
 
-The season tells what is played, without its secret levels; here they are drawn from a seed that everybody has.
+The season tells what is played, without its secret levels: here they are drawn from a public seed. It is not
+trusted: only environments that are installed here, by their names, are played.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from experiment_runner.competition.trials import trials
 from experiment_runner.executors.workers import LocalExecutor
 from glue.console import one_line
 from glue.errors import ExperimentError
+from glue.plugins.loading import names
+from glue.wire.messages import Role
 
 _SEED: Final = b"at home"
 _LEVELS: Final = ("level_seed", "mdp")
@@ -31,9 +34,8 @@ def tasks_of(competition: Competition) -> Mapping[str, Any]:
     """Return what entrants may know of the tasks of a season, for JSON."""
     tasks = []
     for task in competition.proving:
-        options = {
-            name: value for name, value in task.options.items() if name not in _LEVELS or not task.hidden
-        }
+        kept = (name for name in task.options if name not in _LEVELS or not task.hidden)
+        options = {name: task.options[name] for name in kept}
         # A path of the organiser's machine says nothing elsewhere.
         tasks.append(asdict(replace(task, env=Path(task.env).name, options=options, levels=())))
     return {
@@ -48,7 +50,7 @@ def competition_of(told: Mapping[str, Any]) -> Competition:
     """Return the competition that `tasks_of` tells of.
 
     Raises:
-        ExperimentError: it is something else, perhaps of a newer version.
+        ExperimentError: it is something else, perhaps of a newer version; or an environment is missing here.
     """
     try:
         competition = Competition(
@@ -60,6 +62,13 @@ def competition_of(told: Mapping[str, Any]) -> Competition:
     except (KeyError, TypeError, ValueError) as error:
         why = one_line(str(error), 200)
         raise ExperimentError(f"the season tells of its tasks in another form, is it newer? {why}") from None
+    installed = names(Role.ENVIRONMENT)
+    for task in competition.tasks:
+        if task.env not in installed:
+            raise ExperimentError(
+                f"the environment {one_line(task.env, 80)} is not installed here: install the package that has "
+                "it, as the season's page says"
+            )
     return competition
 
 
