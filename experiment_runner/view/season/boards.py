@@ -129,7 +129,8 @@ class Boards:
         trials = self.view(viewer).course.competition.trials
         for found in self._trials(viewer, shown, attempt):
             if found.parts[1:] == (task, (attempt - 1) * trials + trial):
-                return replayed(self._spec(found), record_path(self.directory, found), episode)
+                name = f"{shown}, attempt {attempt}: {task}, trial {trial}"
+                return replayed(name, self._spec(found), record_path(self.directory, found), episode)
         raise KeyError(task)
 
     def _trials(self, viewer: str, shown: str, attempt: int) -> list[TrialId]:

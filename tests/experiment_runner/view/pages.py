@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
 
+from starlette.types import ASGIApp
+
 from experiment_runner.view import app
 from experiment_runner.view.catalog import Catalog
 from experiment_runner.view.guard import Address
@@ -113,29 +115,36 @@ class Inside:
     ) -> Answer:
         """Send a request, with the cookie and the host unless `headers` has others."""
         given = {"Host": f"127.0.0.1:{self.port}", "Cookie": self.cookie} | dict(headers or {})
-        raw, _, query = path.partition("?")
-        scope = {
-            "type": "http",
-            "method": method,
-            "path": unquote(raw),
-            "raw_path": raw.encode(),
-            "query_string": query.encode(),
-            "headers": [(name.lower().encode(), value.encode("latin-1")) for name, value in given.items()],
-            "scheme": "http",
-            "server": ("127.0.0.1", self.port),
-        }
-        sent: list[Any] = []
+        return asked(self._app, path, given, method, content)
 
-        async def receive() -> dict[str, object]:
-            return {"type": "http.request", "body": content}
 
-        async def send(message: Any) -> None:
-            sent.append(message)
+def asked(
+    app: ASGIApp, path: str, headers: Mapping[str, str], method: str = "GET", content: bytes = b""
+) -> Answer:
+    """Return the answer of an application to a request, without a server."""
+    raw, _, query = path.partition("?")
+    scope = {
+        "type": "http",
+        "method": method,
+        "path": unquote(raw),
+        "raw_path": raw.encode(),
+        "query_string": query.encode(),
+        "headers": [(name.lower().encode(), value.encode("latin-1")) for name, value in headers.items()],
+        "scheme": "http",
+        "server": ("127.0.0.1", 8097),
+    }
+    sent: list[Any] = []
 
-        asyncio.run(self._app(scope, receive, send))
-        start, *parts = sent
-        found = {name.decode().lower(): value.decode() for name, value in start["headers"]}
-        return Answer(start["status"], found, b"".join(part["body"] for part in parts))
+    async def receive() -> dict[str, object]:
+        return {"type": "http.request", "body": content}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    asyncio.run(app(scope, receive, send))
+    start, *parts = sent
+    found = {name.decode().lower(): value.decode() for name, value in start["headers"]}
+    return Answer(start["status"], found, b"".join(part["body"] for part in parts))
 
 
 class Stream:
