@@ -171,18 +171,23 @@ class Stream:
         self._connection.close()
 
 
-@contextlib.contextmanager
-def glue_view(*arguments: object, cwd: Path | None = None) -> Iterator[Page]:
+def glue_view(*arguments: object, cwd: Path | None = None) -> contextlib.AbstractContextManager[Page]:
     """Run `glue-view` at a free port until the context ends."""
     command = ("glue-view", *map(str, arguments), "--no-browser", "--port", "0")
-    terminal = Terminal(*command, cwd=cwd or Path.cwd())
+    return shown_by(*command, cwd=cwd or Path.cwd())
+
+
+@contextlib.contextmanager
+def shown_by(*command: str, cwd: Path) -> Iterator[Page]:
+    """Run a command that serves a page until the context ends."""
+    terminal = Terminal(*command, cwd=cwd)
 
     def end(number: signal.Signals) -> int:
         terminal.send_signal(number)
         return terminal.end()
 
     try:
-        page = Page(end, terminal.wait_for(r"http://\S+")[0])
+        page = Page(end, terminal.wait_for(r"http://\S+token=\S+")[0])
         page.log_in()
         with contextlib.closing(page):
             yield page

@@ -38,8 +38,8 @@ name = "<b>spring</b>"
 trials = 2
 seed_env = "SECRET"
 [season]
-opens = 2026-11-01
-closes = 2026-12-01
+opens = 2026-11-01T00:00:00
+closes = 2026-12-01T00:00:00
 enrol = "open"
 names = "{names}"
 parallel = 2

@@ -86,7 +86,7 @@ def test_the_public_learns_no_name_no_reason_and_no_score_of_a_hidden_task(seaso
     for secret in (b"alice", b"bob", b"token", b"deep", b"key of"):
         assert secret not in text
     board = season.board()
-    assert [one["name"] for one in board["entrants"]] == ["otter", "mole"]
+    assert {one["name"] for one in board["entrants"]} == {"otter", "mole"}
     assert board["tasks"] == ["mines"]
     assert board["you"] is None
     assert season.ask("/entrants/alice.json").status == 404
