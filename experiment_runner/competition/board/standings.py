@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -139,7 +140,7 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
         ExperimentError: the run cannot be read, or was changed since it was sealed.
     """
     check_seal(results)
-    tasks = tuple(task.name for task in course.competition.tasks)
+    tasks = tuple(task.name for task in course.competition.testing)
     excluded = course.excluded
     judged: dict[str, list[_Judged]] = {name: [] for name in course.entrants}
     for judgement in _judged(results, course):
@@ -250,7 +251,7 @@ def _placed(entrants: Sequence[Standing], tasks: Sequence[str]) -> list[Standing
     mean_ranks = [float(np.mean([by_task[task][i] for task in tasks])) for i in range(len(entrants))]
     placed = []
     for i, one in enumerate(entrants):
-        low, high = _interval([one.tasks[task].trials for task in tasks])
+        low, high = interval(tuple(one.tasks[task].trials for task in tasks))
         placed.append(
             replace(
                 one,
@@ -266,8 +267,13 @@ def _placed(entrants: Sequence[Standing], tasks: Sequence[str]) -> list[Standing
     return sorted(placed, key=lambda one: (one.mean_rank, -one.total, one.name))
 
 
-def _interval(scores: Sequence[Sequence[float]]) -> tuple[float, float]:
-    """Return the 95 % percentile bootstrap interval of the total: trials are resampled within each task."""
+@lru_cache(maxsize=4096)
+def interval(scores: tuple[tuple[float, ...], ...]) -> tuple[float, float]:
+    """Return the 95 % percentile bootstrap interval of a total: trials are resampled within each task.
+
+    Args:
+        scores: of the trials of each task.
+    """
     rng = bootstrap_rng()
     totals = np.zeros(_RESAMPLES)
     for trials in scores:

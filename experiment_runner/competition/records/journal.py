@@ -122,7 +122,12 @@ def act(kind: str, subject: str, reason: str, *, now: datetime | None = None, **
         now: the time; None reads the clock.
         more: further fields.
     """
-    return Act((now or datetime.now(UTC)).astimezone(UTC).strftime(_TIME), kind, subject, reason, **more)
+    return Act(time_text(now or datetime.now(UTC)), kind, subject, reason, **more)
+
+
+def time_text(time: datetime) -> str:
+    """Return a time as in `Act.time`."""
+    return time.astimezone(UTC).strftime(_TIME)
 
 
 def text_of(acts: Iterable[Act]) -> str:

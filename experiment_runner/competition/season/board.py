@@ -9,14 +9,39 @@ everything that follows from it, as if it had been so from the start.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
+from itertools import accumulate
 from typing import Final
 
-from experiment_runner.competition.board.standings import Forfeit
+import numpy as np
+
+from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+from experiment_runner.competition.board.standings import Forfeit, interval
 from experiment_runner.competition.course import Course
-from experiment_runner.competition.records.journal import Act
+from experiment_runner.competition.records.journal import (
+    ADD,
+    CHANGE,
+    CLOSE,
+    EVERYBODY,
+    EXCLUDE,
+    FREEZE,
+    GRANT,
+    PAUSE,
+    READMIT,
+    RERUN,
+    RESUME,
+    THAW,
+    Act,
+    time_text,
+)
+from experiment_runner.competition.season.schedule import queue
+from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 
 PUBLIC: Final = ""
@@ -25,6 +50,15 @@ PUBLIC: Final = ""
 ORGANISER: Final = "*"
 """The viewer who sees everything, at once. Any other viewer is the name of an entrant."""
 
+_OF_ALL: Final = (ADD, EXCLUDE, READMIT, RERUN, FREEZE, THAW, CHANGE, CLOSE)
+_OF_ITS_OWNER: Final = (PAUSE, RESUME, GRANT)
+"""Acts that are shown to everybody, and those about an entrant that are shown to its owner."""
+
+_TIMES: Final = 200
+_FLIPS: Final = 999
+_LEVEL: Final = 0.05
+_ROUNDING: Final = 1e-9
+
 
 @dataclass(frozen=True, slots=True)
 class AttemptRow:
@@ -32,8 +66,8 @@ class AttemptRow:
 
     Args:
         number: among its entrant's, from 1.
-        state: `waiting`, `playing`, `verified`, `forfeited`, `unverified` (its replay did not match, or has
-            not ended), `ours` or `cancelled`.
+        state: `waiting`, `playing`, `verified`, `forfeited`, `unverified` (its replay does not match), `over`
+            (during a freeze), `ours` or `cancelled`.
         requested, began, ended: times.
         score: see above, over the tasks that this viewer may know; NaN unless verified or forfeited.
         tasks: the score of each of these tasks.
@@ -72,8 +106,9 @@ class EntrantRow:
         score: see above; NaN without one.
         low, high: its 95 % bootstrap interval over trials.
         tasks: score in each task.
-        like: the best place above from which it is not separated: a paired randomisation test over the
-            levels, which both have played, does not reject at 5 % that they are equal; None if there is none.
+        like: the best place above such that it is not separated from that one, nor from any in between: a
+            paired randomisation test over the levels does not reject at 5 % that they are equal. None if it
+            is separated from the place above. Fewer than 6 levels separate nobody.
         counts: number of attempts in each state that there was.
         attempts: oldest first.
         places: its place at each of `SeasonBoard.times`; None before it had one.
@@ -151,4 +186,320 @@ def season_board(results: Results, course: Course, now: datetime, viewer: str = 
     Raises:
         ExperimentError: the run cannot be read, or the competition has no season.
     """
-    raise NotImplementedError
+    return board_of(course, results.outcomes(), results.verdicts(), now, viewer)
+
+
+def board_of(
+    course: Course,
+    outcomes: Mapping[str, TrialEnd],
+    verdicts: Mapping[str, ReplayVerdict],
+    now: datetime,
+    viewer: str = PUBLIC,
+) -> SeasonBoard:
+    """Return the board of a season, from the outcomes and verdicts of its trials; see `season_board`."""
+    return _Maker(course, outcomes, verdicts, now, viewer).board()
+
+
+@dataclass(frozen=True, slots=True)
+class _Played:
+    """The trials of an attempt that is over.
+
+    Args:
+        scores: verified, of each trial of each task.
+        forfeits: of its trials.
+        verified: whether all of them were.
+    """
+
+    scores: Mapping[str, Sequence[float]]
+    forfeits: tuple[Forfeit, ...]
+    verified: bool
+
+
+@dataclass(slots=True)
+class _Placed:
+    """What places an entrant: the attempts that stand, by the time from which each does, with their scores.
+
+    Args:
+        name: of the entrant.
+        since: when each attempt's predecessor, in whose place it stands, was over; in ascending order.
+        numbers: of the attempts.
+        totals: their scores.
+        tasks: score of each trial of each task, of the attempts that count, shape (tasks, trials).
+        place: see `EntrantRow`.
+        like: likewise.
+    """
+
+    name: str
+    since: list[datetime]
+    numbers: list[int]
+    totals: list[float]
+    tasks: FloatArray
+    place: int = 0
+    like: int | None = None
+
+
+class _Maker:
+    def __init__(
+        self,
+        course: Course,
+        outcomes: Mapping[str, TrialEnd],
+        verdicts: Mapping[str, ReplayVerdict],
+        now: datetime,
+        viewer: str,
+    ) -> None:
+        self._state = SeasonState.of(course)
+        self._course = course
+        self._now = now
+        self._viewer = viewer
+        self._until = None if viewer == ORGANISER else self._state.frozen_at(now)
+        told = viewer == ORGANISER or self._state.closed is not None
+        proving = course.competition.proving
+        self._tasks = tuple(task.name for task in proving if told or not task.hidden)
+        self._hidden = tuple(task.name for task in proving if task.name not in self._tasks)
+        self._played = {
+            (one.entrant, one.number): self._played_in(one, outcomes, verdicts)
+            for one in self._state.attempts("over")
+        }
+        self._lowest = self._lowest_scores()
+        self._queue = {(one.entrant, one.number): i for i, one in enumerate(queue(self._state), 1)}
+
+    def board(self) -> SeasonBoard:
+        state, season = self._state, self._state.season
+        placed = self._placed()
+        times = _spread(sorted({time for one in placed.values() for time in one.since}))
+        places = _places(list(placed.values()), times, season.count)
+        rows = [
+            self._row(entrant, placed.get(name), places.get(name, ()))
+            for name, entrant in state.entrants.items()
+        ]
+        if state.closed is not None:
+            phase = "closed"
+        else:
+            phase = "before" if self._now < season.opens else "open" if self._now < season.closes else "over"
+        return SeasonBoard(
+            self._course.competition.name,
+            phase,
+            _text(season.opens),
+            _text(season.closes),
+            _text(self._until),
+            state.paused,
+            season.count,
+            self._tasks,
+            self._hidden,
+            tuple(sorted(rows, key=lambda row: (row.place or math.inf, row.shown))),
+            tuple(map(_text, times)),
+            tuple((self._shown(one.entrant), one.number) for one in state.attempts("playing")),
+            tuple((self._shown(name), number) for name, number in self._queue),
+            tuple((one.time, one.reason) for one in reversed(state.announcements)),
+            tuple(self._acts()),
+        )
+
+    def _knows(self, name: str) -> bool:
+        """Return whether the viewer may know everything about an entrant."""
+        return self._viewer in (ORGANISER, name)
+
+    def _shown(self, name: str) -> str:
+        if self._knows(name) or self._state.season.names == "own":
+            return name
+        return self._state.entrants[name].act.alias or name
+
+    def _played_in(
+        self, attempt: Attempt, outcomes: Mapping[str, TrialEnd], verdicts: Mapping[str, ReplayVerdict]
+    ) -> _Played:
+        count = self._course.competition.trials
+        scores: dict[str, list[float]] = {}
+        forfeits: list[Forfeit] = []
+        verified = True
+        for task in (*self._tasks, *self._hidden):
+            for number in range(count):
+                trial = TrialId.of(attempt.entrant, task, (attempt.number - 1) * count + number)
+                outcome, verdict = outcomes.get(trial), verdicts.get(trial)
+                verified &= outcome is not None and verdict is not None and verdict.problem is None
+                if outcome is not None and outcome.reason is not None:
+                    forfeits.append(Forfeit(task, number, outcome.reason))
+                scores.setdefault(task, []).append(math.nan if verdict is None else verdict.score)
+        return _Played(scores, tuple(forfeits), verified)
+
+    def _standing(self, entrant: Enrolled) -> list[tuple[Attempt, Attempt]]:
+        """Return the verified attempts that stand; see `Enrolled.standing`."""
+        if entrant.excluded:
+            return []
+        found = entrant.standing(self._until)
+        return [(root, one) for root, one in found if self._played[one.entrant, one.number].verified]
+
+    def _lowest_scores(self) -> dict[tuple[str, int], float]:
+        """Return the lowest score of each level among those who played it to the end."""
+        lowest: dict[tuple[str, int], float] = {}
+        for entrant in self._state.entrants.values():
+            for _, one in self._standing(entrant):
+                played = self._played[one.entrant, one.number]
+                left = {(lost.task, lost.trial) for lost in played.forfeits}
+                for task, scores in played.scores.items():
+                    for number, score in enumerate(scores):
+                        if (task, number) not in left:
+                            lowest[task, number] = min(score, lowest.get((task, number), math.inf))
+        return lowest
+
+    def _scores(self, attempt: Attempt) -> FloatArray:
+        """Return the scores of an attempt's trials, shape (tasks, trials)."""
+        played = self._played[attempt.entrant, attempt.number]
+        scores = np.array([played.scores[task] for task in self._tasks])
+        for lost in played.forfeits:
+            if lost.task in self._tasks:
+                at = self._tasks.index(lost.task), lost.trial
+                scores[at] = min(scores[at], self._lowest.get((lost.task, lost.trial), math.inf))
+        return scores
+
+    def _placed(self) -> dict[str, _Placed]:
+        found: list[_Placed] = []
+        for name, entrant in self._state.entrants.items():
+            if standing := self._standing(entrant):
+                scores = [self._scores(one) for _, one in standing]
+                totals = [_total(one) for one in scores]
+                counting = _counting(totals, self._state.season.count)
+                since = accumulate((root.ended or root.requested for root, _ in standing), max)
+                numbers = [one.number for _, one in standing]
+                tasks = np.mean([scores[i] for i in counting], axis=0)
+                found.append(_Placed(name, list(since), numbers, totals, tasks))
+        _compare(found, self._state.season.count)
+        return {one.name: one for one in found}
+
+    def _row(self, entrant: Enrolled, placed: _Placed | None, places: Sequence[int | None]) -> EntrantRow:
+        name, knows = entrant.name, self._knows(entrant.name)
+        named = knows or self._state.season.names == "own"
+        attempts = [self._attempt(one, placed) for one in entrant.attempts.values()]
+        row = EntrantRow(
+            self._shown(name),
+            name if named else "",
+            entrant.act.team if named else "",
+            counts=Counter(one.state for one in attempts),
+            attempts=tuple(attempts),
+            missing=f"excluded: {entrant.excluded}" if entrant.excluded else "no verified attempt yet",
+            paused=entrant.paused if knows else "",
+            mine=name == self._viewer,
+        )
+        if placed is None:
+            return row
+        low, high = interval(tuple(tuple(trials) for trials in placed.tasks.tolist()))
+        return replace(
+            row,
+            place=placed.place,
+            score=_score(placed.totals, self._state.season.count),
+            low=low,
+            high=high,
+            tasks=self._by_task(placed.tasks),
+            like=placed.like,
+            places=tuple(places),
+            missing="",
+        )
+
+    def _attempt(self, one: Attempt, placed: _Placed | None) -> AttemptRow:
+        knows = self._knows(one.entrant)
+        row = AttemptRow(
+            one.number,
+            one.state,
+            _text(one.requested),
+            _text(one.began),
+            _text(one.ended),
+            place=self._queue.get((one.entrant, one.number), 0),
+            instead=one.instead,
+            withdrawn=one.withdrawn,
+            why=one.why if knows else "",
+        )
+        unseen = self._until is not None and one.ended is not None and one.ended > self._until
+        if one.state != "over" or (unseen and not knows):
+            return row
+        played = self._played[one.entrant, one.number]
+        if not played.verified:
+            return replace(row, state="unverified")
+        scores = self._scores(one)
+        return replace(
+            row,
+            state="forfeited" if played.forfeits else "verified",
+            score=_total(scores),
+            tasks=self._by_task(scores),
+            counts=placed is not None and self._counts(one, placed),
+            forfeits=tuple(lost for lost in played.forfeits if lost.task in self._tasks),
+        )
+
+    def _counts(self, one: Attempt, placed: _Placed) -> bool:
+        counting = _counting(placed.totals, self._state.season.count)
+        return one.number in [placed.numbers[i] for i in counting]
+
+    def _by_task(self, scores: FloatArray) -> dict[str, float]:
+        return {task: float(np.mean(row)) for task, row in zip(self._tasks, scores, strict=True)}
+
+    def _acts(self) -> Iterator[Act]:
+        """Yield the acts that the viewer may know, newest first, without what they say of players."""
+        for one in reversed(self._course.acts):
+            name, _, trial = one.subject.partition("/")
+            private = one.act in _OF_ITS_OWNER and one.subject != EVERYBODY and not self._knows(name)
+            if one.act in (*_OF_ALL, *_OF_ITS_OWNER) and not private:
+                shown = self._shown(name) if name in self._state.entrants else name
+                subject = f"{shown}/{trial}" if trial else shown
+                kept = replace(one, subject=subject, player="", id="", trial="", alias="", team="", token="")
+                yield kept
+
+
+def _counting(totals: Sequence[float], count: str) -> list[int]:
+    """Return which attempts count, of those with these scores; see `Season.count`."""
+    if count == "mean":
+        return list(range(len(totals)))
+    return [len(totals) - 1 if count == "last" else int(np.argmax(totals))]
+
+
+def _score(totals: Sequence[float], count: str) -> float:
+    return float(np.mean([totals[i] for i in _counting(totals, count)]))
+
+
+def _total(scores: FloatArray) -> float:
+    """Return the score of trials with these scores, shape (tasks, trials)."""
+    return float(sum(float(np.mean(trials)) for trials in scores))
+
+
+def _compare(found: Sequence[_Placed], count: str) -> None:
+    """Give everybody a place, and the best place above from which it is not separated."""
+    if not found:
+        return
+    scores = np.array([_score(one.totals, count) for one in found])
+    for one, score in zip(found, scores, strict=True):
+        one.place = 1 + int(np.sum(scores > score))
+    shares = np.array([one.tasks.ravel() / one.tasks.shape[1] for one in found])  # their sums are the scores
+    flips = bootstrap_rng().choice((-1.0, 1.0), (shares.shape[1], _FLIPS))
+    sums, flipped = shares.sum(axis=1), shares @ flips
+    ranked = sorted(range(len(found)), key=lambda i: found[i].place)
+    for i in ranked:
+        above = [other for other in ranked if found[other].place < found[i].place]
+        observed = np.abs(sums[above] - sums[i])
+        by_chance = np.abs(flipped[above] - flipped[i]) >= (1 - _ROUNDING) * observed[:, None]
+        separated = np.flatnonzero((1 + by_chance.sum(axis=1)) / (1 + _FLIPS) <= _LEVEL)
+        first = int(separated[-1]) + 1 if separated.size else 0
+        found[i].like = found[above[first]].place if first < len(above) else None
+
+
+def _places(found: Sequence[_Placed], times: Sequence[datetime], count: str) -> dict[str, list[int | None]]:
+    """Return the place of everybody at each time, by name."""
+    scores = np.full((len(found), len(times)), np.nan)
+    for one, row in zip(found, scores, strict=True):
+        after = [_score(one.totals[: i + 1], count) for i in range(len(one.totals))]
+        for at, time in enumerate(times):
+            if known := bisect_right(one.since, time):
+                row[at] = after[known - 1]
+    ordered = np.sort(-scores, axis=0)  # NaN last
+    places: dict[str, list[int | None]] = {one.name: [] for one in found}
+    for one, row in zip(found, scores, strict=True):
+        for at, score in enumerate(row):
+            place = 1 + int(np.searchsorted(ordered[:, at], -score))
+            places[one.name].append(None if math.isnan(score) else place)
+    return places
+
+
+def _spread(times: Sequence[datetime]) -> list[datetime]:
+    """Return at most `_TIMES` of these times, the last one among them."""
+    if len(times) <= _TIMES:
+        return list(times)
+    return [times[round(i)] for i in np.linspace(0, len(times) - 1, _TIMES)]
+
+
+def _text(time: datetime | None) -> str:
+    return "" if time is None else time_text(time)
