@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from experiment_runner.cli.compete_entrants import join, starter, submit, try_command, withdraw
 from experiment_runner.cli.options import DIRECTORY, naming_out
 from experiment_runner.cli.season_page import page
 from experiment_runner.view.launch import check_view, viewed
@@ -63,7 +64,8 @@ def compete() -> None:
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
 
 
-compete.add_command(page)
+for each in (page, join, submit, withdraw, try_command, starter):
+    compete.add_command(each)
 
 
 @compete.command()

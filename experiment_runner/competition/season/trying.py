@@ -66,8 +66,8 @@ def competition_of(told: Mapping[str, Any]) -> Competition:
     for task in competition.tasks:
         if task.env not in installed:
             raise ExperimentError(
-                f"the environment {one_line(task.env, 80)} is not installed here: install the package that has "
-                "it, as the season's page says"
+                f"the environment {one_line(task.env, 80)} is not installed here: install its package; the "
+                "organiser knows which"
             )
     return competition
 
