@@ -156,3 +156,7 @@ def starter(language: str, directory: Path) -> None:
     """Write a small repository to DIR with an agent in LANGUAGE, and a workflow that tries and submits it."""
     write_starter(language, directory)
     say(f"{directory / 'README.md'} says how to go on")
+
+
+COMMANDS: Final = (join, starter, submit, try_command, withdraw)
+"""The commands of this module."""

@@ -25,10 +25,16 @@ from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Piece
 from experiment_runner.competition.records.journal import ENTER, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
-from experiment_runner.competition.records.seal import add_trials, check_seal, record_outcome, seal
+from experiment_runner.competition.records.seal import (
+    add_trials,
+    check_seal,
+    record_acts,
+    record_outcome,
+    seal,
+)
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
 from experiment_runner.competition.starters import gate_for, name_of_run, starter_for
-from experiment_runner.competition.trials import trials
+from experiment_runner.competition.trials import levels
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Recorded
@@ -53,7 +59,8 @@ def log_path(directory: Path, trial_id: str) -> Path:
 
 
 def open_competition(directory: Path, text: str, competition: Competition, secret: bytes) -> Store:
-    """Return the store of a competition: a new one, or the one in the directory if it is the same.
+    """Return the store of a competition: a new one, or the one in the directory if it is the same. There, a
+    season gets the rules that its file has now.
 
     Args:
         directory: contains the run, or will contain it; only its owner may read it, as it has secret levels.
@@ -70,10 +77,10 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
     if exists:
         course = course_of(directory)
     else:
-        trials(competition, secret)  # a mistake in a task is found before an engine is asked for anything
+        levels(competition, secret)  # a mistake in a task is found before an engine is asked for anything
         acts = admissions(competition, competition.entrants, ENTER, "in the file at the start")
         course = Course(competition, acts)
-    specs = course.with_reruns(trials(course.admitted(competition), secret))
+    specs = course.specs(course.admitted(competition), secret)
     with reported(f"cannot write to {directory}"):
         directory.mkdir(mode=_FOR_ITS_OWNER, parents=True, exist_ok=True)
     with ExitStack() as stack:
@@ -86,15 +93,17 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
         with reported(f"cannot write to {directory}"):
             directory.chmod(_FOR_ITS_OWNER)
         recorded = [record.spec for record in store.trials()]
-        known = {spec.id for spec in recorded}
+        known = {spec.id: spec for spec in recorded}
         new = [spec for spec in specs if spec.id not in known]
-        if [spec for spec in specs if spec.id in known] != recorded or any(map(course.planned, new)):
+        if {spec.id: spec for spec in specs if spec.id in known} != known or any(map(course.planned, new)):
             why = _difference(recorded, specs)
             raise ExperimentError(f"{directory} is the run of another competition: {why}")
         seal(store)
         check_seal(store)
         if new:
             add_trials(store, new)
+        if changes := course.changes(competition):
+            record_acts(store, changes)
         store.record_event("resume" if exists else "start", program())
         stack.pop_all()
     return store
@@ -166,6 +175,11 @@ def hold(store: Store, competition: Competition, workers: int, say: Say, gate: G
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
     course = course_of(store.directory)
+    if course.in_season:
+        raise ExperimentError(
+            f"the season is not over: glue-compete serve goes on with it, and glue-compete close "
+            f"{store.directory} ends it"
+        )
     competition = course.admitted(competition)
     wanted = set(course.trials)
     over = wanted & store.outcomes().keys()

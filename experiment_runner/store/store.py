@@ -202,6 +202,7 @@ class Store(Results):
 
     def extend(self, trials: Sequence[TrialSpec]) -> None:
         """Commit the trials of a longer plan: new ones are added, the others get the plan's length."""
+        added: dict[str, int] = {}
         with self._writing(), transaction(self._connection):
             for spec in trials:
                 if spec.id in self._keys:
@@ -211,8 +212,9 @@ class Store(Results):
                     )
                 else:
                     self._connection.execute(_PUT_TRIAL, _trial_row(spec))
-        self._keys.update(self._query("SELECT id, key FROM trials"))
-        self._done = {trial_id: self._done.get(trial_id, 0) for trial_id in self._keys}
+                    ((added[spec.id],),) = self._query("SELECT last_insert_rowid()")
+        self._keys |= added
+        self._done |= dict.fromkeys(added, 0)
 
     def record_void(self, trial_id: str, episode: int, why: str) -> None:
         """Commit that an attempt at an episode does not count."""

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import msgspec
 
@@ -47,6 +47,7 @@ EVERYBODY: Final = "*"
 """Subject of an act that concerns the whole season; no entrant's name."""
 
 _MOST_BYTES: Final = 2**28
+_BLOCK: Final = 2**16
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,19 +161,30 @@ def acts_of(directory: Path) -> list[Act]:
         raise ExperimentError(f"{directory / JOURNAL_FILE} is not a journal: {error}") from None
 
 
-def append(directory: Path, acts: Iterable[Act]) -> None:
-    """Append acts, in place of a line that a killed process has left incomplete, and flush them to the disk.
+def append(directory: Path, lines: bytes) -> None:
+    """Append lines, in place of one that a killed process has left incomplete, and flush them to the disk.
 
     Raises:
         StorageError: the journal cannot be written.
     """
-    whole = len(content(directory))
     path = directory / JOURNAL_FILE
     with (
         reported(f"cannot write {path}", KEPT),
-        open(descriptor_of(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND), "ab") as file,
+        open(descriptor_of(path, os.O_RDWR | os.O_CREAT | os.O_APPEND), "a+b") as file,
     ):
-        file.truncate(whole)
-        file.write(text_of(acts).encode())
+        file.truncate(_whole(file))
+        file.write(lines)
         file.flush()
         os.fsync(file.fileno())
+
+
+def _whole(file: BinaryIO) -> int:
+    """Return the size of the complete lines of a journal."""
+    end = file.seek(0, os.SEEK_END)
+    while end > 0:
+        start = max(0, end - _BLOCK)
+        file.seek(start)
+        if (last := file.read(end - start).rfind(b"\n")) >= 0:
+            return start + last + 1
+        end = start
+    return 0

@@ -21,10 +21,11 @@ import numpy.typing as npt
 
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.replay import Replay, passive_score, replay_of
-from experiment_runner.competition.records.seal import record_verdict, seal
+from experiment_runner.competition.records.seal import record_verdict, reseal_verdicts, seal
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import EpisodeResult, ReplayVerdict, TrialEnd
+from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError, GlueError
 from glue.trajectory import ActionSteps, Ending, Episode, Run, TrajectoryReader
@@ -50,54 +51,47 @@ def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -
     seal(store)
     outcomes = store.outcomes()
     problems = 0
-    found: dict[tuple[str, int], float] = {}
-
-    def passive(spec: TrialSpec, steps: int) -> float:
-        of = spec.id.parts[1:]
-        if of not in found:
-            found[of] = passive_score(spec, steps)
-        return found[of]
-
+    passive: dict[tuple[str, int], float] = {}
     for record in store.trials():
         spec = record.spec
         if spec.id not in outcomes:
             continue
-        path, episodes = record_path(store.directory, spec.id), store.episodes(spec.id)
-        verdict = verify_trial(
-            spec, path, outcomes[spec.id], episodes, steps[spec.id.parts[1]], passive=passive
-        )
+        verdict = judge(store, spec, outcomes[spec.id], steps[spec.id.parts[1]], passive)
         record_verdict(store, spec.id, verdict)
         if verdict.problem is not None:
             problems += 1
             say(f"{spec.id} does not match: {verdict.problem}")
+    reseal_verdicts(store)
     return problems
 
 
-def verify_trial(
+def judge(
+    results: Results,
     spec: TrialSpec,
-    path: Path,
     outcome: TrialEnd,
-    episodes: Sequence[EpisodeResult],
     steps: int,
-    *,
-    passive: Callable[[TrialSpec, int], float] = passive_score,
+    passive: dict[tuple[str, int], float] | None = None,
 ) -> ReplayVerdict:
-    """Replay a trial that is over.
+    """Return the result of replaying a trial that is over.
 
     Args:
+        results: of the run.
         spec: the trial.
-        path: of its record.
         outcome: how it ended.
-        episodes: its episodes in the database.
         steps: number of steps of its task; 0 if its episodes count.
-        passive: returns the score of a trial that was forfeited.
+        passive: scores of a passive agent, by task and seed, which are computed once.
     """
+    path = record_path(results.directory, spec.id)
+    passive = {} if passive is None else passive
     sha256, problem, score = b"", None, math.nan
     try:
         sha256 = digest(path)
-        score = _verified_score(spec, path, outcome, episodes, steps, sha256)
+        score = _verified_score(results, spec, outcome, path, sha256, steps)
         if outcome.reason is not None:
-            score = passive(spec, steps)
+            level = (spec.id.parts[1], spec.seed)  # attempts and repetitions share it
+            if level not in passive:
+                passive[level] = passive_score(spec, steps)
+            score = passive[level]
     except GlueError as error:
         problem, score = str(error), math.nan
     except Exception as error:  # from an environment, which may have changed since
@@ -106,12 +100,7 @@ def verify_trial(
 
 
 def _verified_score(
-    spec: TrialSpec,
-    path: Path,
-    outcome: TrialEnd,
-    stored: Sequence[EpisodeResult],
-    steps: int,
-    sha256: bytes,
+    results: Results, spec: TrialSpec, outcome: TrialEnd, path: Path, sha256: bytes, steps: int
 ) -> float:
     """Return the sum of rewards of a trial.
 
@@ -122,7 +111,7 @@ def _verified_score(
     if sha256 != outcome.digest:
         raise Mismatch(f"{path} is not the record that was finished: bytes in it were changed")
     episodes, score = replay_trial(spec, path)
-    _compare_episodes(stored, episodes)
+    _compare_episodes(results.episodes(spec.id), episodes)
     ends = [end for end, _, _ in episodes]
     if outcome.reason is None:
         total = sum(count for _, count, _ in episodes)

@@ -61,7 +61,7 @@ class Enrolled:
         paused: the reason; empty if it is not paused.
         granted: number of attempts that are left of those that were granted.
         used: number of attempts that were charged to each day.
-        failed: number of attempts that it has forfeited in a row, since its last image or since it was resumed.
+        failed: attempts that it has forfeited in a row since its last image, or since it was resumed.
         served: when an attempt of it was last let play; None if none was.
     """
 
@@ -90,7 +90,8 @@ class Enrolled:
         return [one for one in self.attempts.values() if one.state == "waiting"]
 
     def effective(self) -> Iterator[tuple[Attempt, Attempt]]:
-        """Yield each attempt that is over and that no other, which is over, replaces; withdrawn ones included.
+        """Yield each attempt that is over, unless another that is over replaces it; also those withdrawn.
+
         Before it comes the attempt in whose place it stands: itself, or the first of those that were rerun.
         """
         last: dict[int, Attempt] = {}

@@ -9,12 +9,13 @@ from typing import Any, Final, NamedTuple
 
 from experiment_runner.competition import match
 from experiment_runner.competition.match import Match, play
-from experiment_runner.competition.records.verify import verify_trial
+from experiment_runner.competition.records.verify import judge
 from experiment_runner.competition.starters import starter_for
 from experiment_runner.executors.job import Ended, decode
 from experiment_runner.executors.workers import serve
 from experiment_runner.plan.plan import TrialSpec
-from experiment_runner.store.records import EpisodeResult, ReplayVerdict, TrialEnd
+from experiment_runner.store.records import ReplayVerdict, TrialEnd
+from experiment_runner.store.results import Results
 
 MODULE: Final = "experiment_runner.competition.season.worker"
 
@@ -23,12 +24,16 @@ prepare = match.prepare
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A job: a trial that is over is verified; see `verify_trial`."""
+    """A job: a trial that is over is replayed; see `judge`.
 
+    Args:
+        directory: of the run.
+        spec, outcome, steps: as of `judge`.
+    """
+
+    directory: Path
     spec: TrialSpec
-    path: Path
     outcome: TrialEnd
-    episodes: tuple[EpisodeResult, ...]
     steps: int
 
 
@@ -48,7 +53,8 @@ def work(value: Any, send: Callable[[object], None]) -> None:
         case Match() as job:
             play(job, send, starter_for(job.entrant))
         case Replay() as job:
-            send(Verified(verify_trial(job.spec, job.path, job.outcome, job.episodes, job.steps)))
+            with Results.open(job.directory) as results:
+                send(Verified(judge(results, job.spec, job.outcome, job.steps)))
             send(Ended(None))
 
 
