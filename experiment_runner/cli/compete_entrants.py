@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
@@ -143,7 +144,7 @@ def try_command(player: str, season: Path) -> int:
     entrant = Entrant(
         membership.name,
         image=None if is_agent else player,
-        command=("glue-agent", player) if is_agent else (),
+        command=(sys.executable, "-P", "-m", "glue_rl", "agent", player) if is_agent else (),
     )
     logs = Path(tempfile.mkdtemp(prefix="glue-try-"))
     return min(1, try_entrant(competition, entrant, logs, say))
