@@ -5,47 +5,27 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from experiment_runner.cli.compete_entrants import COMMANDS
+from experiment_runner.cli.compete_serve import ACTS, serve
 from experiment_runner.cli.options import DIRECTORY, naming_out
 from experiment_runner.cli.season_page import page
 from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
 from glue.console import say
-from glue.errors import ConfigError, ExperimentError
+from glue.errors import ConfigError
 from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
 from glue.keys.certificates import encode, read_pair, read_public
-
-if TYPE_CHECKING:
-    from experiment_runner.competition.course import Course
-    from experiment_runner.competition.records.journal import Act
-    from experiment_runner.store.results import Results
 
 _READ = click.Path(path_type=Path, dir_okay=False)
 
 _FILE = click.argument("file", type=_READ, metavar="FILE")
 _DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
-
-
-def _reason(context: click.Context, option: click.Parameter, text: str) -> str:
-    if not text.strip() or not text.isprintable():
-        raise click.BadParameter("a reason is a line of printable text")
-    return text.strip()
-
-
-_REASON = click.option(
-    "--reason",
-    required=True,
-    callback=_reason,
-    metavar="TEXT",
-    help="Why, in a line for all to read: it is sealed with the run, and shown on the board.",
-)
 
 
 @click.group("glue-compete", no_args_is_help=True)
@@ -63,7 +43,8 @@ def compete() -> None:
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
 
 
-compete.add_command(page)
+for command in (page, serve, *ACTS, *COMMANDS):
+    compete.add_command(command)
 
 
 @compete.command()
@@ -149,58 +130,6 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
         if wait is not None:
             wait()
     return 1 if failed else 0
-
-
-@compete.command()
-@_DIRECTORY
-@click.argument("file", type=_READ, metavar="FILE")
-@_REASON
-def add(directory: Path, file: Path, reason: str) -> None:
-    """Add the entrants of FILE that the run in DIR does not have yet; `run` then lets them play."""
-    from experiment_runner.competition.organiser import admissions
-    from experiment_runner.competition.records.journal import ADD
-    from experiment_runner.competition.settings import load_competition
-
-    def acts(course: Course, results: Results) -> list[Act]:
-        new = [entrant for entrant in competition.entrants if entrant.name not in course.entrants]
-        if not new:
-            raise ExperimentError(f"{file} has no entrant that {directory} does not have")
-        return admissions(competition, new, ADD, reason)
-
-    competition = load_competition(file)
-    _act(directory, acts)
-    say(f"now: glue-compete run {file} --out {directory}")
-
-
-@compete.command()
-@_DIRECTORY
-@click.argument("entrants", nargs=-1, required=True, metavar="ENTRANT...")
-@_REASON
-def exclude(directory: Path, entrants: tuple[str, ...], reason: str) -> None:
-    """Take entrants of the run in DIR off the board for good; everything that they played is kept."""
-    _act(directory, lambda course, _: [course.exclusion(one, reason) for one in dict.fromkeys(entrants)])
-
-
-@compete.command()
-@_DIRECTORY
-@click.argument("trials", nargs=-1, required=True, metavar="TRIAL...")
-@_REASON
-def rerun(directory: Path, trials: tuple[str, ...], reason: str) -> None:
-    """Have trials of the run in DIR, such as alice/easy/0, played again by `run`, on the same levels.
-
-    The new trials count instead of the old ones, which are kept.
-    """
-
-    _act(directory, lambda course, results: course.repetitions(trials, results.outcomes(), reason))
-    say(f"now: glue-compete run FILE --out {directory}")
-
-
-def _act(directory: Path, acts: Callable[[Course, Results], list[Act]]) -> None:
-    from experiment_runner.competition.board.forms import line_of
-    from experiment_runner.competition.course import act_on
-
-    for act in act_on(directory, acts):
-        say(line_of(act))
 
 
 @compete.command()

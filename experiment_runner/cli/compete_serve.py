@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
@@ -100,11 +100,11 @@ def serve(
 
     It ends when `close` closes the season. Whatever stops it before, the same command goes on where it was.
     """
-    from experiment_runner.competition.season.opening import open_season
-    from experiment_runner.competition.season.service import check_gate, executor_of, utc_now
+    from experiment_runner.competition.organiser import open_competition
+    from experiment_runner.competition.season.service import check_gate, executor_of
     from experiment_runner.competition.season.service import serve as hold
     from experiment_runner.competition.settings import Gate, load_competition
-    from experiment_runner.competition.trials import read_secret
+    from experiment_runner.competition.trials import read_code, read_secret
     from experiment_runner.executors.opening import kept_if_begun
     from experiment_runner.executors.ray_cluster import parse_address
     from experiment_runner.view.launch import check_view, season_viewed
@@ -118,7 +118,7 @@ def serve(
         check_view("page")
     competition = load_competition(file)
     secret = read_secret(competition, os.environ, log)
-    code = None if competition.season is None else read_code(competition.season, os.environ)
+    code = None if competition.season is None else read_code(competition.season, os.environ, log)
     gate = None if keys is None else Gate(bind, keys)
 
     def kept() -> None:
@@ -127,14 +127,12 @@ def serve(
     with kept_if_begun(out, kept), ExitStack() as stack:
         with naming_out():
             text = read_text(file, follow=True)
-            store = stack.enter_context(open_season(out, text, competition, secret, utc_now()))
+            store = stack.enter_context(open_competition(out, text, competition, secret))
         check_gate(competition, gate)
         executor = executor_of(competition, Backend(engine), address)
         if page is not None:
             stack.enter_context(
-                season_viewed(
-                    out, page=page, proxy=proxy, insecure=insecure, publish=publish, say=log
-                )
+                season_viewed(out, page=page, proxy=proxy, insecure=insecure, publish=publish, say=log)
             )
         log(f"the season is served from {out}")
         hold(store, competition, secret, code, gate, executor, log)
@@ -283,8 +281,9 @@ def organise(directory: Path, kind: str, **wish: Any) -> None:
 
 def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]:
     """Write the acts of a wish to the journal of a run that nobody serves."""
+    from experiment_runner.competition.board.forms import line_of
     from experiment_runner.competition.course import Course, act_on
-    from experiment_runner.competition.records.journal import Act, line_of
+    from experiment_runner.competition.records.journal import Act
     from experiment_runner.competition.season.acts import acts_for
     from experiment_runner.competition.season.control import Organise
     from experiment_runner.competition.season.service import utc_now

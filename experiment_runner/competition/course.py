@@ -40,7 +40,8 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
-_IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
+IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
+"""The ids of images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +152,7 @@ class Course:
         submitted = {one.subject for one in self.acts if one.act == IMAGE}
         known = {one.name: one for one in competition.entrants if one.name not in submitted}
         found = (
-            replace(known[name], id=one.id) if name in known else _entrant(one)
+            replace(known[name], id=one.id) if name in known else entrant_of(one)
             for name, one in entrants.items()
         )
         return replace(competition, entrants=tuple(found))
@@ -243,9 +244,9 @@ def _rules(competition: Competition) -> dict[str, object]:
     }
 
 
-def _entrant(admitted: Act) -> Entrant:
+def entrant_of(admitted: Act) -> Entrant:
     """Return an entrant that enrolled or submitted an image, from the act that admitted it."""
-    if _IMAGE_ID.fullmatch(admitted.id):
+    if IMAGE_ID.fullmatch(admitted.id):
         return Entrant(admitted.subject, image=admitted.player, id=admitted.id)
     return Entrant(admitted.subject, key=Path(admitted.player), id=admitted.id)
 

@@ -11,10 +11,11 @@ import hmac
 import os
 import stat
 from collections.abc import Callable, Iterable, MutableMapping
+from pathlib import Path
 from typing import Final, NamedTuple
 
 from experiment_runner.competition.records.journal import Act
-from experiment_runner.competition.settings import Competition, Task
+from experiment_runner.competition.settings import Competition, Season, Task
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.plan.user_files import with_digests
@@ -54,12 +55,37 @@ def read_secret(
     Raises:
         ConfigError: there is no secret, or it is empty.
     """
-    path = competition.seed_file
+    path, name = competition.seed_file, competition.seed_env
+    return _read("the secret seed", path, name, f"{_HINT} {path or 'FILE'}", variables, warn)
+
+
+def read_code(
+    season: Season, variables: MutableMapping[str, str], warn: Callable[[str], None] = lambda line: None
+) -> str | None:
+    """Return the code with which entrants enrol, as by `read_secret`; None if they need none.
+
+    Raises:
+        ConfigError: there is no code, or it is empty.
+    """
+    if season.enrol != "code":
+        return None
+    how = "write into it what you tell those who may take part"
+    code = _read("the code", season.code_file, season.code_env, how, variables, warn)
+    return code.decode(errors="replace")
+
+
+def _read(
+    what: str,
+    path: Path | None,
+    name: str | None,
+    hint: str,
+    variables: MutableMapping[str, str],
+    warn: Callable[[str], None],
+) -> bytes:
     if path is None:
-        name = competition.seed_env or ""
-        secret, where = variables.pop(name, "").encode(), f"the environment variable {name}"
+        secret, where = variables.pop(name or "", "").encode(), f"the environment variable {name}"
         if not secret:
-            raise ConfigError(f"{where} must hold the secret seed: {name}=... glue-compete ...")
+            raise ConfigError(f"{where} must hold {what}: {name}=... glue-compete ...")
     else:
         where = str(path)
         try:
@@ -68,11 +94,11 @@ def read_secret(
                 mode = os.fstat(file.fileno()).st_mode
         except OSError as error:
             reason = error.strerror or str(error)
-            raise ConfigError(f"cannot read the secret seed {path}: {reason}; {_HINT} {path}") from None
+            raise ConfigError(f"cannot read {what} {path}: {reason}; {hint}") from None
         if mode & (stat.S_IRWXG | stat.S_IRWXO):
-            warn(f"other users can read the secret seed: chmod 600 {path}")
+            warn(f"other users can read {what}: chmod 600 {path}")
     if not secret.strip():
-        raise ConfigError(f"{where} is empty, but it must hold the secret seed; {_HINT} {path or 'FILE'}")
+        raise ConfigError(f"{where} is empty, but it must hold {what}; {hint}")
     return secret.strip()
 
 

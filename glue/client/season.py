@@ -43,6 +43,9 @@ _MOST_BYTES: Final = 2**20
 _MOST_SHOWN: Final = 300
 _PIECE: Final = 2**16
 _POLL_SECONDS: Final = 1.0
+_LONGEST_POLL: Final = 10.0
+"""Seconds between two questions of a program far back in the queue; it counts as gone after 15."""
+
 _LONGEST_WAIT: Final = 60.0
 """Longest time that the page is believed when it asks to wait, in seconds."""
 
@@ -274,7 +277,8 @@ class Season:
             if reply["state"] == "playing":
                 trial = reply.get("trial")
                 serve(self._target(reply), partial(self._is_on, number, trial, say))
-            self._sleep(_POLL_SECONDS)
+            place = reply.get("place")
+            self._sleep(min(place, _LONGEST_POLL) if isinstance(place, int) and place > 1 else _POLL_SECONDS)
             reply = self._attempt(number, say)
         return reply
 

@@ -11,6 +11,7 @@ import os
 import selectors
 import socket
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, Final
 
 import msgspec
 
-from experiment_runner.store.database import reported
+from experiment_runner.store.database import StorageError, reported
 from glue.closing import Closing
 from glue.errors import ExperimentError, GlueError
 
@@ -170,6 +171,9 @@ class Door(Closing):
         """Answer the requests that are there, or come within `seconds`.
 
         A `GlueError` from `answer` refuses the request.
+
+        Raises:
+            StorageError: from `answer`, after the request was refused.
         """
         for key, _ in self._ready.select(seconds):
             found = key.fileobj
@@ -224,16 +228,23 @@ class Door(Closing):
         return None
 
     def _reply(self, client: socket.socket, answer: Callable[[Request], Reply], line: bytes) -> None:
+        failed = None
         try:
             reply = {"ok": True, **answer(_DECODER.decode(line))}
         except TryLater as error:
             reply = {"ok": False, "error": str(error), "retry_after": error.retry_after}
         except (GlueError, ValueError, RecursionError) as error:
+            failed = error
             reply = {"ok": False, "error": str(error)}
+        except Exception as error:  # a fault of ours ends one request, and nobody's attempt
+            traceback.print_exception(error)
+            reply = {"ok": False, "error": f"the server has a fault: {type(error).__name__}: {error}"}
         with suppress(OSError):  # it has not waited
             client.settimeout(_PATIENCE_SECONDS)
             client.sendall(json.dumps(reply).encode() + b"\n")
         self._drop(client)
+        if isinstance(failed, StorageError):
+            raise failed
 
     def _drop(self, client: socket.socket) -> None:
         del self._clients[client]

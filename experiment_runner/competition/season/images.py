@@ -169,6 +169,8 @@ def _unpacked(layer: IO[bytes], left: int, most: int) -> int:
                 total += _BLOCK + file.size  # of a sparse file, what it takes when it is unpacked
                 content.check(total)
                 files.members = []  # type: ignore[attr-defined]  # it would keep them all
+        while content.read(_PIECE):
+            pass  # the engine unpacks and keeps what follows the tar, too
         return total
 
 

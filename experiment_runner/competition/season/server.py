@@ -18,13 +18,14 @@ import itertools
 import math
 import re
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.competition.course import Course, course_of
+from experiment_runner.competition.board.forms import line_of
+from experiment_runner.competition.course import IMAGE_ID, Course, course_of, entrant_of
 from experiment_runner.competition.match import Match
 from experiment_runner.competition.organiser import Matches, Say, log_path
 from experiment_runner.competition.records import journal
@@ -45,7 +46,7 @@ from experiment_runner.competition.settings import (
     load_competition,
 )
 from experiment_runner.competition.starters import name_of_run, starter_for
-from experiment_runner.competition.trials import trials
+from experiment_runner.competition.trials import attempt_trials, levels
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.plan.ids import TrialId
@@ -79,7 +80,6 @@ _REST_SECONDS: Final = (5.0, 600.0)
 
 _PORT: Final = re.compile(r"(?P<host>tcp://.+):(?P<port>\d{1,5})")
 
-_IMAGE: Final = re.compile(r"sha256:[0-9a-f]{64}")
 _MAX_NAME: Final = 200
 
 _MOST_SHOWN: Final = 200
@@ -116,24 +116,6 @@ class _Slot:
     until: float
     forfeit: str = ""
     playing: bool = False
-
-
-def attempt_trials(competition: Competition, secret: bytes, entrant: Entrant, number: int) -> list[TrialSpec]:
-    """Return the trials of an attempt: every proving task as often as the competition has trials, with the
-    levels and seeds that are the same for all entrants and attempts.
-
-    Args:
-        competition: the competition.
-        secret: its secret seed.
-        entrant: who plays.
-        number: of the attempt, from 1.
-    """
-    made = []
-    for spec in trials(replace(competition, tasks=competition.proving, entrants=(entrant,)), secret):
-        _, task, trial = spec.id.parts
-        trial += (number - 1) * competition.trials
-        made.append(replace(spec, id=TrialId.of(entrant.name, task, trial)))
-    return made
 
 
 def gate_of(gate: Gate, slot: int) -> Gate:
@@ -183,6 +165,7 @@ class Server(Matches):
         super().__init__(store, say)
         self._competition = competition
         self._secret = secret
+        self._levels = levels(competition, secret)
         self._code = code
         self._gate = gate
         self._now = now
@@ -201,7 +184,6 @@ class Server(Matches):
         """The public key of each entrant that has one."""
         self._steps = {task.name: task.steps for task in competition.proving}
         self._run = name_of_run(store.directory)
-        self._known = {record.spec.id for record in store.trials()}
         self._dispatcher: Dispatcher | None = None
         self._slots: dict[str, _Slot] = {}
         self._until: dict[str, float] = {}
@@ -395,7 +377,7 @@ class Server(Matches):
             raise ExperimentError("no images are accepted in this season")
         if entrant.excluded:
             raise ExperimentError(f"{wanted.entrant} is excluded: {entrant.excluded}")
-        if not _IMAGE.fullmatch(wanted.image):
+        if not IMAGE_ID.fullmatch(wanted.image):
             raise ExperimentError(f"{wanted.image!r:.80} is not the id of an image")
         name = one_line(wanted.name, _MAX_NAME)
         self._record(act(journal.IMAGE, wanted.entrant, "", now=self._now(), player=name, id=wanted.image))
@@ -441,7 +423,7 @@ class Server(Matches):
             self._state.apply(one)
             if one.act == journal.ENROL:
                 self._keys[one.subject] = one.id
-            self._say(line_of(one))
+            self._say(_line(one))
         for slot in list(self._slots.values()):
             if self._state.attempt(slot.entrant.name, slot.attempt.number).state != "playing":
                 self._leave(slot)
@@ -454,8 +436,11 @@ class Server(Matches):
         playing = self._state.attempts("playing")
         if playing:
             outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
+            starts = {(one.subject, one.number): one for one in self._acts if one.act == journal.START}
             for one in playing:
-                self._take_slot(one, outcomes, verdicts)
+                start = starts[one.entrant, one.number]
+                specs = attempt_trials(self._levels, self._competition.trials, start)
+                self._take_slot(one, specs, outcomes, verdicts, resumed=True)
 
     def _look(self, now: bool = False) -> None:
         """See, once a second and after each act, what can start, and what has taken too long."""
@@ -503,25 +488,39 @@ class Server(Matches):
     def _player(self, entrant: Enrolled) -> Entrant:
         """Return an entrant as it plays now."""
         found = entrant.act
-        if _IMAGE.fullmatch(found.id):
-            return Entrant(entrant.name, image=found.player, id=found.id)
-        if entrant.name in self._named:
-            return replace(self._named[entrant.name], id=found.id)
-        return Entrant(entrant.name, key=Path(found.player), id=found.id)
+        named = self._named.get(entrant.name)
+        if named is None or (IMAGE_ID.fullmatch(found.id) and named.player != found.player):
+            return entrant_of(found)
+        return replace(named, id=found.id)
 
     def _begin(self, one: Attempt) -> None:
-        self._take_slot(one, {}, {})
-        self._record(act(journal.START, one.entrant, "", now=self._now(), number=one.number))
+        """Let an attempt play."""
+        plays = self._state.entrants[one.entrant].act
+        start = act(
+            journal.START,
+            one.entrant,
+            "",
+            now=self._now(),
+            number=one.number,
+            player=plays.player,
+            id=plays.id,
+        )
+        self._record(start)
+        specs = attempt_trials(self._levels, self._competition.trials, start)
+        add_trials(self._store, specs)
+        self._take_slot(one, specs, {}, {}, resumed=False)
 
     def _take_slot(
-        self, one: Attempt, outcomes: Mapping[str, TrialEnd], verdicts: Mapping[str, ReplayVerdict]
+        self,
+        one: Attempt,
+        specs: Sequence[TrialSpec],
+        outcomes: Mapping[str, TrialEnd],
+        verdicts: Mapping[str, ReplayVerdict],
+        *,
+        resumed: bool,
     ) -> None:
-        """Let an attempt have a slot, whose trials may have been played already."""
+        """Let an attempt have a slot, with trials some of which may have been played already."""
         entrant = self._player(self._state.entrants[one.entrant])
-        specs = attempt_trials(self._competition, self._secret, entrant, one.number)
-        if new := [spec for spec in specs if spec.id not in self._known]:
-            add_trials(self._store, new)
-            self._known.update(spec.id for spec in new)
         taken = {slot.number for slot in self._slots.values()}
         number = next(number for number in itertools.count() if number not in taken)
         ids = [str(spec.id) for spec in specs]
@@ -532,7 +531,7 @@ class Server(Matches):
             dict(zip(ids, specs, strict=True)),
             deque(trial_id for trial_id in ids if trial_id not in outcomes),
             {trial_id for trial_id in ids if trial_id in outcomes and trial_id not in verdicts},
-            one.state == "playing" and entrant.key is not None,
+            resumed and entrant.key is not None,
             self._clock() + _ABSENT_SECONDS,
         )
         self._slots[one.entrant] = slot
@@ -660,7 +659,7 @@ class Server(Matches):
             self._go_on(slot)
 
 
-def line_of(one: Act) -> str:
+def _line(one: Act) -> str:
     """Return an act as a line of the log."""
     number = f" {one.number}" if one.number else ""
     return f"{one.act} {one.subject}{number}" + (f": {one.reason}" if one.reason else "")

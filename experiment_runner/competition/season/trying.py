@@ -26,6 +26,7 @@ from glue.plugins.loading import names
 from glue.wire.messages import Role
 
 _SEED: Final = b"at home"
+_LENGTHS: Final = ("episodes", "steps", "max_steps")
 _LEVELS: Final = ("level_seed", "mdp")
 """Options that name a level, which a hidden task does not tell."""
 
@@ -37,7 +38,9 @@ def tasks_of(competition: Competition) -> Mapping[str, Any]:
         kept = (name for name in task.options if name not in _LEVELS or not task.hidden)
         options = {name: task.options[name] for name in kept}
         # A path of the organiser's machine says nothing elsewhere.
-        tasks.append(asdict(replace(task, env=Path(task.env).name, options=options, levels=())))
+        told = {"name": task.name, "env": Path(task.env).name, "options": options}
+        lengths = {name: getattr(task, name) for name in _LENGTHS}
+        tasks.append(told | {name: length for name, length in lengths.items() if length})
     return {
         "name": competition.name,
         "trials": competition.trials,
@@ -66,8 +69,8 @@ def competition_of(told: Mapping[str, Any]) -> Competition:
     for task in competition.tasks:
         if task.env not in installed:
             raise ExperimentError(
-                f"the environment {one_line(task.env, 80)} is not installed here: install the package that has "
-                "it, as the season's page says"
+                f"the environment {one_line(task.env, 80)} is not installed here: install its package; the "
+                "organiser knows which"
             )
     return competition
 
