@@ -64,10 +64,12 @@ def page(directory: Path, address: str, proxy: str, insecure: bool, publish: Pat
         raise ConfigError(f"--page is HOST:PORT, as in 127.0.0.1:8097, not {address}", settings=("page",))
     place = Place(match[1] or match[2], int(match[3]), proxy)
     place.check(insecure)
+    boards = Boards(directory, utc_now)
+    boards.viewers()  # says why, if the directory holds no season
     token = organisers_token(directory)
     os.nice(_NICENESS)  # what is played has priority
     if publish is not None:
-        Publisher(Boards(directory, utc_now), publish).keep(say)
+        Publisher(boards, publish).keep(say)
 
     def ready(url: str) -> None:
         say(f"the page is at {url}; the organiser's, which shows all: {url}?token={token}")
