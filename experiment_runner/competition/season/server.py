@@ -207,14 +207,38 @@ class Server(Matches):
             ExperimentError: the executor can run nothing.
             KeyboardInterrupt: on Ctrl-C or SIGTERM.
         """
-        self._dispatcher = dispatcher = Dispatcher(executor, self, interrupts)
+        dispatcher = Dispatcher(executor, self, interrupts)
         with executor, interrupts.deferred():
-            self._resume()
-            while self._slots or self._state.closed is None:
-                door.serve(self.answer, 0 if dispatcher.running else _IDLE_SECONDS)
-                self._look()
-                if not dispatcher.turn(_TURN_SECONDS) and interrupts.requested:
+            self.begin(dispatcher)
+            while self.turn(_TURN_SECONDS) or not interrupts.requested:
+                if self.over:
                     break
+                door.serve(self.answer, 0 if dispatcher.running else _IDLE_SECONDS)
+
+    @property
+    def over(self) -> bool:
+        """Whether the season is closed, and what was played is over."""
+        return self._state.closed is not None and not self._slots
+
+    def begin(self, dispatcher: Dispatcher) -> None:
+        """Go on with the attempts that were played when the server before this one ended."""
+        self._dispatcher = dispatcher
+        for name in self._named:
+            starter_for(self._player(self._state.entrants[name])).sweep(self._run)
+        playing = self._state.attempts("playing")
+        if playing:
+            outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
+            starts = {(one.subject, one.number): one for one in self._acts if one.act == journal.START}
+            for one in playing:
+                start = starts[one.entrant, one.number]
+                specs = attempt_trials(self._levels, self._competition.trials, start)
+                self._take_slot(one, specs, outcomes, verdicts, resumed=True)
+
+    def turn(self, seconds: float = 0.0) -> bool:
+        """Start what can start, and store what is reported within `seconds`; return whether anything runs."""
+        assert self._dispatcher is not None
+        self._look()
+        return self._dispatcher.turn(seconds)
 
     # What others ask for
 
@@ -428,19 +452,6 @@ class Server(Matches):
             if self._state.attempt(slot.entrant.name, slot.attempt.number).state != "playing":
                 self._leave(slot)
         self._looked = self._clock() - _LOOK_SECONDS
-
-    def _resume(self) -> None:
-        """Go on with the attempts that were played when the server before this one ended."""
-        for name in self._named:
-            starter_for(self._player(self._state.entrants[name])).sweep(self._run)
-        playing = self._state.attempts("playing")
-        if playing:
-            outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
-            starts = {(one.subject, one.number): one for one in self._acts if one.act == journal.START}
-            for one in playing:
-                start = starts[one.entrant, one.number]
-                specs = attempt_trials(self._levels, self._competition.trials, start)
-                self._take_slot(one, specs, outcomes, verdicts, resumed=True)
 
     def _look(self, now: bool = False) -> None:
         """See, once a second and after each act, what can start, and what has taken too long."""
