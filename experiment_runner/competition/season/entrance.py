@@ -149,7 +149,7 @@ class _Entrance:
         self._once = Once()
         self._of_address = Rate(50, 500, now)
         self._joins = Rate(0.2, 60, now)
-        self._of_entrant = Rate(2, 20, now)
+        self._of_entrant = Rate(2, 30, now)
         self._images = Rate(1 / 600, 5, now)
         self._uploading: set[str] = set()
         shutil.rmtree(directory / _UPLOADS, ignore_errors=True)  # of a server that was killed
