@@ -14,8 +14,8 @@ import pytest
 from experiment_runner.competition.records.journal import ANNOUNCE, CLOSE, EVERYBODY, FREEZE
 from experiment_runner.competition.season.entrance import routes
 from experiment_runner.view.guard import HEADERS, Address
-from experiment_runner.view.season.boards import organisers_token
 from experiment_runner.view.season.page import season_page
+from experiment_runner.view.season.views import Views, organisers_token
 from tests.experiment_runner.view.pages import Answer, asked
 from tests.experiment_runner.view.season.seasons import Held
 
@@ -32,7 +32,7 @@ class Season:
         self.held.enrol("bob", "mole")
         self.held.play("alice", 1, (0, 1, 2))
         self.held.play("bob", 1, (3,), forfeit="the bank is empty")
-        self.app = season_page(directory, Address(PORT), routes, self.now)
+        self.app = season_page(Views(directory, self.now), Address(PORT), routes)
         self.organiser = organisers_token(directory)
 
     def now(self) -> datetime:
@@ -121,7 +121,7 @@ def test_one_who_has_just_enrolled_can_log_in_and_still_can_after_a_restart(fres
     token = fresh.held.enrol("carol", "vole")
     assert fresh.board(token)["you"] == "carol"
     cookie = fresh.log_in(token)
-    fresh.app = season_page(fresh.held.directory, Address(PORT), routes, fresh.now)
+    fresh.app = season_page(Views(fresh.held.directory, fresh.now), Address(PORT), routes)
     assert fresh.ask("/season.json", headers={"Cookie": cookie}).json()["you"] == "carol"
 
 
@@ -161,7 +161,7 @@ def test_a_frozen_board_goes_on_for_the_organiser_alone(fresh: Season) -> None:
     before = fresh.board()["entrants"]
     fresh.held.act(FREEZE, EVERYBODY, "the last week")
     fresh.held.play("bob", 2, (0, 1, 2, 1))
-    fresh.app = season_page(fresh.held.directory, Address(PORT), routes, fresh.now)
+    fresh.app = season_page(Views(fresh.held.directory, fresh.now), Address(PORT), routes)
     public = fresh.board()
     assert "the board is frozen" in public["state"]
     assert [one["score"] for one in public["entrants"]] == [one["score"] for one in before]
@@ -170,7 +170,7 @@ def test_a_frozen_board_goes_on_for_the_organiser_alone(fresh: Season) -> None:
 
 def test_a_closed_season_tells_the_scores_of_hidden_tasks(fresh: Season) -> None:
     fresh.held.act(CLOSE, EVERYBODY)
-    fresh.app = season_page(fresh.held.directory, Address(PORT), routes, fresh.now)
+    fresh.app = season_page(Views(fresh.held.directory, fresh.now), Address(PORT), routes)
     board = fresh.board()
     assert board["tasks"] == ["mines", "deep"]
     assert board["state"] == "closed"

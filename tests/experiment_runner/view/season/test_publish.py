@@ -11,8 +11,8 @@ import pytest
 
 from experiment_runner.competition.records.journal import ANNOUNCE, EVERYBODY
 from experiment_runner.view.launch import season_viewed
-from experiment_runner.view.season.boards import Boards
 from experiment_runner.view.season.publish import Publisher
+from experiment_runner.view.season.views import Views
 from tests.experiment_runner.view.season.seasons import Held
 from tests.forked import run
 from tests.system.runs import wait_until
@@ -21,7 +21,7 @@ from tests.system.runs import wait_until
 def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed(tmp_path: Path) -> None:
     with Held(tmp_path / "spring") as held:
         held.enrol("alice", "amber lynx")
-        publisher = Publisher(Boards(held.directory, lambda: held.now), tmp_path / "public")
+        publisher = Publisher(Views(held.directory, lambda: held.now), tmp_path / "public")
         publisher.publish()
         public = tmp_path / "public"
         assert {path.name for path in public.iterdir()} == {
@@ -36,7 +36,7 @@ def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed
         (public / "season.json").unlink()
         (public / "season.json").symlink_to(tmp_path / "other")
         held.act(ANNOUNCE, EVERYBODY, "a break")
-        Publisher(Boards(held.directory, lambda: held.now), tmp_path / "public").publish()
+        Publisher(Views(held.directory, lambda: held.now), tmp_path / "public").publish()
         assert json.loads((public / "season.json").read_text())["announcements"][0]["text"] == "a break"
         assert (tmp_path / "other").read_text() == "mine"
         publisher.publish()
