@@ -22,6 +22,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
     "msgspec": [
         "experiment_runner/competition/records/*",
+        "experiment_runner/competition/season/*",
         "experiment_runner/competition/settings.py",
         "experiment_runner/executors/job.py",
         "experiment_runner/loggers/stream.py",
@@ -46,7 +47,8 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "gymnasium": ["glue/gym/*", "glue/openenv/*", "env_server/gym/*", "env_server/datasets/*"],
     "stable_baselines3": ["glue/gym/sb3.py"],
     "torch": NOWHERE,
-    "starlette": ["experiment_runner/view/*"],
+    "starlette": ["experiment_runner/view/*", "experiment_runner/competition/season/entrance.py"],
+    "prometheus_client": ["experiment_runner/view/season/metrics.py"],
     **dict.fromkeys(("anyio", "mcp", "mcp_types"), ("agents/language/server.py",)),
     "http.client": ["agents/language/endpoint.py"],
     "openenv": ["glue/openenv/*"],
@@ -189,7 +191,7 @@ class Missing:
         if name.partition('.')[0] in {
             'matplotlib', 'PIL', 'scipy', 'optuna', 'pyarrow', 'gymnasium', 'nacl', 'ray', 'pandas', 'docker',
             'polars', 'minari', 'rlglue', 'mcp',
-            'requests', 'starlette', 'uvicorn',
+            'requests', 'starlette', 'uvicorn', 'prometheus_client',
         }:
             raise ModuleNotFoundError(name)
 

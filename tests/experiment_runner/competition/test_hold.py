@@ -161,15 +161,16 @@ def test_another_secret_is_another_competition(held: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [("start_seconds = 300", "start_seconds = 200"), ("steps", "episodes")]
+    ("old", "new", "what"),
+    [("start_seconds = 300", "start_seconds = 200", "limits"), ("steps", "episodes", "episodes or steps")],
 )
 def test_other_limits_and_other_lengths_are_another_competition(
-    old: str, new: str, run: Path, tmp_path: Path
+    old: str, new: str, what: str, run: Path, tmp_path: Path
 ) -> None:
     write(tmp_path, FILE.replace(old, new))
     refused = compete(tmp_path, "run", "spring.toml", "--out", "run")
     assert refused.returncode == 1
-    assert "begun with other limits" in refused.stderr
+    assert f"begun with other {what}" in refused.stderr
     assert len(refused.stderr.splitlines()) == 1
 
 
