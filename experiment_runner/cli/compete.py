@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 
+from experiment_runner.cli.compete_entrants import COMMANDS
 from experiment_runner.cli.compete_serve import ACTS, serve
 from experiment_runner.cli.options import DIRECTORY, naming_out
 from experiment_runner.cli.season_page import page
@@ -42,7 +43,7 @@ def compete() -> None:
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
 
 
-for command in (page, serve, *ACTS):
+for command in (page, serve, *ACTS, *COMMANDS):
     compete.add_command(command)
 
 

@@ -112,10 +112,10 @@ class Session:
         "_request_seq",
         "_seq",
         "_slow",
-        "_time",
         "name",
         "observers",
         "peers",
+        "time",
     )
 
     def __init__(self, host: Host, name: str, time: TimeBank | None = None) -> None:
@@ -123,7 +123,7 @@ class Session:
         self.peers: dict[Role, Peer] = {}
         self.observers: Observers | None = None
         self._host = host
-        self._time = time
+        self.time: TimeBank | None = time
         self._engine = Engine(Action().body)
         self._confirmed: dict[Role, bytes] = {}
         self._seq = 0
@@ -258,7 +258,7 @@ class Session:
     def enforce_time(self) -> None:
         """Dismiss an agent that has run out of time without answering."""
         agent = self.peers.get(Role.AGENT)
-        why = None if self._time is None else self._time.overdue()
+        why = None if self.time is None else self.time.overdue()
         if agent is not None and why is not None:
             self._host.dismiss(agent, why)
 
@@ -340,7 +340,7 @@ class Session:
             return False
         if not peer.confirmed:
             self._confirm(peer)
-        if self._time is not None and peer.role is Role.AGENT and (why := self._time.answered()) is not None:
+        if self.time is not None and peer.role is Role.AGENT and (why := self.time.answered()) is not None:
             self._host.dismiss(peer, why)
             return True
         if kind is _ERROR:
@@ -415,8 +415,8 @@ class Session:
         if self._due:
             self._account()
         if player is not None:
-            if self._time is not None and player.role is Role.AGENT:
-                self._time.called(kind)
+            if self.time is not None and player.role is Role.AGENT:
+                self.time.called(kind)
             self._host.deliver(player, outstanding)
 
     def _without_capability(self, kind: Kind, role: Role, player: Peer) -> None:

@@ -48,19 +48,25 @@ class Sessions:
         log: called with one line for people about each peer that joins, leaves or is slow to answer.
         clock: returns seconds, to measure the time of agents if `config` limits it; by default the time of
             the last message or tick.
+        processor: as of `TimeBank`, of the agent of every session.
 
     Attributes:
         memory: bounds the memory of sessions, and of everything else that the hub keeps.
     """
 
     def __init__(
-        self, config: HubConfig, log: Callable[[str], None], clock: Callable[[], float] | None = None
+        self,
+        config: HubConfig,
+        log: Callable[[str], None],
+        clock: Callable[[], float] | None = None,
+        processor: Callable[[], float | None] | None = None,
     ) -> None:
         self.memory: Memory = Memory(config.max_memory)
         self._config = config
         self.log = log
         self._now = 0.0
         self._clock = clock or (lambda: self._now)
+        self._processor = processor
         self._by_name: dict[str, Session] = {}
         self._joined: dict[Channel, dict[str, Peer]] = {}
         """The peers of each connection, by session."""
@@ -78,6 +84,11 @@ class Sessions:
     def num_steps(self, session: str) -> int:
         """Return the current RL_num_steps of a session that has a peer."""
         return self._by_name[session].num_steps
+
+    def time_left(self, session: str) -> tuple[float, float] | None:
+        """Return `TimeBank.left` of a session's agent; None if its time is not limited, or it is gone."""
+        found = self._by_name.get(session)
+        return None if found is None or found.time is None else found.time.left
 
     def capabilities(self, session: str, role: Role) -> frozenset[str] | None:
         """Return the capabilities of a session's peer; None if there is no such peer."""
@@ -214,7 +225,8 @@ class Sessions:
             if len(self._by_name) >= self._config.max_sessions:
                 text = f"this hub serves {self._config.max_sessions} sessions at once, and all are in use"
                 return ErrorCode.FULL, text
-            bank = None if self._config.time is None else TimeBank(self._config.time, self._clock)
+            limits = self._config.time
+            bank = None if limits is None else TimeBank(limits, self._clock, self._processor)
             session = self._by_name[message.session] = Session(self, message.session, bank)
         other = joined.get(message.session)
         if other is not None and other.role is not role:
