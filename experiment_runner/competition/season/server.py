@@ -192,6 +192,8 @@ class Server(Matches):
         self._verified: dict[str, ReplayVerdict] = {}
         self._seen: dict[str, float] = {}
         """When each entrant's program asked last."""
+        self._queued: dict[str, float] = {}
+        """When the last attempt of each entrant was queued by this server."""
         self._rests: dict[str, tuple[float, float]] = {}
         """When each entrant whose attempt failed here may play again, and how long it rests."""
         self._began = clock()
@@ -326,6 +328,8 @@ class Server(Matches):
 
     def _attempt(self, name: str, number: int) -> Reply:
         entrant = self._state.entrant(name)
+        if not self._present(name):
+            self._looked -= _LOOK_SECONDS
         self._seen[name] = self._clock()
         if number:
             return self._shown(entrant, self._state.attempt(name, number))
@@ -447,6 +451,8 @@ class Server(Matches):
             self._state.apply(one)
             if one.act == journal.ENROL:
                 self._keys[one.subject] = one.id
+            elif one.act == journal.REQUEST:
+                self._queued[one.subject] = self._clock()
             self._say(_line(one))
         for slot in list(self._slots.values()):
             if self._state.attempt(slot.entrant.name, slot.attempt.number).state != "playing":
@@ -467,12 +473,11 @@ class Server(Matches):
             if slot.absent and clock > slot.until:
                 self._fail(slot, "the server was restarted, and its program did not come back")
         for one in state.attempts("waiting"):
-            absent = (
-                self._must_ask(one) and clock - self._seen.get(one.entrant, self._began) > _ABSENT_SECONDS
-            )
-            if absent:
+            name = one.entrant
+            asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
+            if self._must_ask(one) and clock - asked > _ABSENT_SECONDS:
                 why = "its program has stopped asking for it"
-                self._record(act(journal.CANCEL, one.entrant, why, now=time, number=one.number))
+                self._record(act(journal.CANCEL, name, why, now=time, number=one.number))
         if state.closed is None and state.season.opens <= time < state.season.closes:
             for name in self._named.keys() & state.entrants.keys():
                 entrant = state.entrants[name]
@@ -607,7 +612,6 @@ class Server(Matches):
             kind, more = journal.REQUEST, {}
         why = f"instead of attempt {slot.attempt.number}"
         again = act(kind, name, why, now=now, number=len(attempts) + 1, **more)
-        self._seen[name] = self._clock()
         least, most = _REST_SECONDS
         _, rest = self._rests.get(name, (0.0, least / 2))
         rest = min(2 * rest, most)

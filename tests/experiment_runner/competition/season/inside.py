@@ -167,12 +167,12 @@ class Season:
             self.server.turn()
 
     def later(self, seconds: float, *asking: str) -> None:
-        """Let time go by, in which some go on asking."""
+        """Let time go by, in which some go on asking for their last attempts."""
         until = self.seconds + seconds
         while self.seconds < until:
             self.seconds += 5
             for name in asking:
-                self.ask(Attempt(name))
+                self.ask(Attempt(name, max(self.states(name))))
             self.turns(3)
 
     def days(self, count: float) -> None:

@@ -179,6 +179,7 @@ def test_an_attempt_is_run_again_at_no_cost_when_its_program_is_there(season: Se
     season.enrol("alice")
     for _ in range(3):
         season.attempt("alice")
+    season.later(20)
     assert season.act("rerun", "alice", number=2)
     season.later(1000)
     assert season.states("alice")[4] == "waiting"
@@ -238,7 +239,7 @@ def test_nothing_is_played_without_end(season: Season) -> None:
 
 def test_a_clock_that_is_set_back_and_forward_stops_nothing(season: Season) -> None:
     season.enrol("alice", "bob")
-    for days in (0, 1, -1, -1, 1, 0):
+    for days in (0, 1, -1, 1, -1):
         season.days(days)
         season.attempt("bob")
     assert set(season.states("bob").values()) == {"over"}
@@ -297,16 +298,17 @@ def test_an_owner_withdraws_what_is_over_or_waits(season: Season) -> None:
 
 
 def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(tmp_path: Path) -> None:
-    made = Season(tmp_path)
-    with made.stack, pytest.raises(ExperimentError, match="no images are accepted"):
+    made, alice = Season(tmp_path), Submit("alice", "sha256:" + 64 * "0", "alice:1")
+    with made.stack:
         made.enrol("alice")
-        made.ask(Submit("alice", "sha256:" + 64 * "0", "alice:1"))
+        with pytest.raises(ExperimentError, match="no images are accepted"):
+            made.ask(alice)
     made.text = made.text.replace("failures = 2", "failures = 2\nimages = true")
     made.start()
     with made.stack:
         with pytest.raises(ExperimentError, match="not the id of an image"):
             made.ask(Submit("alice", "alice:latest", "alice:1"))
-        made.ask(Submit("alice", "sha256:" + 64 * "0", "alice:1"))
+        made.ask(alice)
         made.executor.agents["alice"] = None
         assert "hub" not in made.ask(Attempt("alice"))
         made.turns()
