@@ -26,7 +26,7 @@ from typing import Any, Final
 
 from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.course import IMAGE_ID, Course, course_of, entrant_of
-from experiment_runner.competition.match import Match
+from experiment_runner.competition.match import NOT_CONNECTED, Match
 from experiment_runner.competition.organiser import Matches, Say, log_path
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act, act
@@ -100,8 +100,8 @@ class _Slot:
         specs: of its trials, by id, in their order.
         left: ids of the trials that are not over, in their order.
         unverified: ids of the trials that are over, and not verified yet.
-        absent: whether its program has yet to ask again, after a restart of this server.
-        until: by when.
+        resumed: whether its first trial is played again after a restart of this server, which its program may
+            not have survived.
         forfeit: why it is forfeited; empty if it is not.
         playing: whether the first of `left` is played.
     """
@@ -112,8 +112,7 @@ class _Slot:
     specs: Mapping[str, TrialSpec]
     left: deque[str]
     unverified: set[str]
-    absent: bool
-    until: float
+    resumed: bool
     forfeit: str = ""
     playing: bool = False
 
@@ -234,7 +233,7 @@ class Server(Matches):
             for one in playing:
                 start = starts[one.entrant, one.number]
                 specs = attempt_trials(self._levels, self._competition.trials, start)
-                self._take_slot(one, specs, outcomes, verdicts, resumed=True)
+                self._take_slot(one, int(start.value), specs, outcomes, verdicts, resumed=True)
 
     def turn(self, seconds: float = 0.0) -> bool:
         """Start what can start, and store what is reported within `seconds`; return whether anything runs."""
@@ -332,7 +331,10 @@ class Server(Matches):
             self._looked -= _LOOK_SECONDS
         self._seen[name] = self._clock()
         if number:
-            return self._shown(entrant, self._state.attempt(name, number))
+            one = self._state.attempt(name, number)
+            while one.state == "ours" and one.number + 1 in entrant.attempts:
+                one = entrant.attempts[one.number + 1]  # which plays in its place
+            return self._shown(entrant, one)
         under_way = entrant.playing or next(iter(entrant.waiting), None)
         if under_way is None:
             now = self._now()
@@ -469,9 +471,6 @@ class Server(Matches):
         for trial_id in [trial_id for trial_id, until in self._until.items() if clock > until]:
             if (slot := self._slots.get(TrialId(trial_id).parts[0])) is not None:
                 self._fail(slot, f"{trial_id} has taken far too long")
-        for slot in list(self._slots.values()):
-            if slot.absent and clock > slot.until:
-                self._fail(slot, "the server was restarted, and its program did not come back")
         for one in state.attempts("waiting"):
             name = one.entrant
             asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
@@ -520,15 +519,21 @@ class Server(Matches):
             number=one.number,
             player=plays.player,
             id=plays.id,
+            value=str(self._free_slot()),
         )
         self._record(start)
         specs = attempt_trials(self._levels, self._competition.trials, start)
         add_trials(self._store, specs)
-        self._take_slot(one, specs, {}, {}, resumed=False)
+        self._take_slot(one, int(start.value), specs, {}, {}, resumed=False)
+
+    def _free_slot(self) -> int:
+        taken = {slot.number for slot in self._slots.values()}
+        return next(number for number in itertools.count() if number not in taken)
 
     def _take_slot(
         self,
         one: Attempt,
+        number: int,
         specs: Sequence[TrialSpec],
         outcomes: Mapping[str, TrialEnd],
         verdicts: Mapping[str, ReplayVerdict],
@@ -537,8 +542,6 @@ class Server(Matches):
     ) -> None:
         """Let an attempt have a slot, with trials some of which may have been played already."""
         entrant = self._player(self._state.entrants[one.entrant])
-        taken = {slot.number for slot in self._slots.values()}
-        number = next(number for number in itertools.count() if number not in taken)
         ids = [str(spec.id) for spec in specs]
         slot = _Slot(
             one,
@@ -547,8 +550,7 @@ class Server(Matches):
             dict(zip(ids, specs, strict=True)),
             deque(trial_id for trial_id in ids if trial_id not in outcomes),
             {trial_id for trial_id in ids if trial_id in outcomes and trial_id not in verdicts},
-            resumed and entrant.key is not None,
-            self._clock() + _ABSENT_SECONDS,
+            resumed,
         )
         self._slots[one.entrant] = slot
         for trial_id in ids:
@@ -560,10 +562,9 @@ class Server(Matches):
     def _go_on(self, slot: _Slot) -> None:
         """Play the next trial of an attempt, or end the attempt when there is none."""
         assert self._dispatcher is not None
-        slot.absent = slot.absent and not self._present(slot.entrant.name)
         if not slot.left and not slot.unverified:
             self._end(slot)
-        elif slot.left and not slot.playing and not slot.absent:
+        elif slot.left and not slot.playing:
             slot.playing = True
             self._play(slot, slot.left[0])
 
@@ -664,8 +665,12 @@ class Server(Matches):
                 self._fail(slot, f"{trial_id} could not be verified: {verdict.problem}")
             else:
                 self._go_on(slot)
+        elif slot.resumed and NOT_CONNECTED in self._forfeits.get(trial_id, ""):
+            super().end(trial_id, "the server was restarted, and its program did not come back")
+            self._fail(slot, "the server was restarted, and its program did not come back")
         else:
             outcome = self._finish(trial_id)
+            slot.resumed = False
             self._note_forfeit(slot, trial_id, outcome)
             slot.left.popleft()
             slot.playing = False

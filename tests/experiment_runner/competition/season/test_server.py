@@ -27,7 +27,7 @@ from experiment_runner.store.lock import DirectoryTaken
 from glue.client.libzmq import new_pair
 from glue.errors import ConfigError, ExperimentError
 from glue.keys.certificates import encode
-from tests.experiment_runner.competition.season.inside import CODE, SECRET, Raising, Season
+from tests.experiment_runner.competition.season.inside import CODE, SECRET, Absent, Raising, Season
 
 
 @pytest.fixture
@@ -189,17 +189,17 @@ def test_an_attempt_is_run_again_at_no_cost_when_its_program_is_there(season: Se
 
 
 def test_a_restart_goes_on_where_it_was(season: Season) -> None:
-    season.enrol("alice")
-    walks, season.executor.agents["alice"] = season.executor.agents.get("alice"), None
-    season.attempt("alice")
-    del season.executor.agents["alice"], walks
+    season.enrol("alice", "bob")
+    season.executor.agents = {"alice": None, "bob": None}
+    for name in ("alice", "bob"):
+        season.attempt(name)
+    season.act("exclude", "alice")
+    season.executor.agents.clear()
     season.restart()
     season.turns()
-    assert season.executor.played == ["alice/mines/0"]  # its program is not there
-    assert season.ask(Attempt("alice"))["state"] == "playing"
-    season.later(5)
-    assert season.executor.played == ["alice/mines/0", "alice/mines/0", "alice/mines/1"]
-    assert season.states("alice") == {1: "over"}
+    assert season.executor.played[2:] == ["bob/mines/0", "bob/mines/1"]
+    assert season.executor.gates[1:] == ["tcp://127.0.0.1:4098"] * 3  # where its program looks for it
+    assert season.states("bob") == {1: "over"}
 
 
 def test_what_was_over_before_a_restart_stays_over(season: Season) -> None:
@@ -220,8 +220,9 @@ def test_one_that_does_not_come_back_after_a_restart_loses_nothing(season: Seaso
     season.enrol("alice")
     season.executor.agents["alice"] = None
     season.attempt("alice")
+    season.executor.agents["alice"] = Absent
     season.restart()
-    season.later(70)
+    season.turns()
     assert season.states("alice") == {1: "ours", 2: "waiting"}
     season.later(70)
     assert season.states("alice") == {1: "ours", 2: "cancelled"}
