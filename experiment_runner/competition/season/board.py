@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import cached_property
 from itertools import accumulate
 from typing import Final
 
@@ -40,6 +41,7 @@ from experiment_runner.competition.records.journal import (
 )
 from experiment_runner.competition.season.schedule import queue
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
+from experiment_runner.competition.settings import Competition
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
@@ -58,6 +60,7 @@ _TIMES: Final = 200
 _FLIPS: Final = 999
 _LEVEL: Final = 0.05
 _ROUNDING: Final = 1e-9
+_AT_ONCE: Final = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,18 +189,51 @@ def season_board(results: Results, course: Course, now: datetime, viewer: str = 
     Raises:
         ExperimentError: the run cannot be read, or the competition has no season.
     """
-    return board_of(course, results.outcomes(), results.verdicts(), now, viewer)
+    return Boards(course, results.outcomes(), results.verdicts(), now).seen_by(viewer)
 
 
-def board_of(
-    course: Course,
-    outcomes: Mapping[str, TrialEnd],
-    verdicts: Mapping[str, ReplayVerdict],
-    now: datetime,
-    viewer: str = PUBLIC,
-) -> SeasonBoard:
-    """Return the board of a season, from the outcomes and verdicts of its trials; see `season_board`."""
-    return _Maker(course, outcomes, verdicts, now, viewer).board()
+class Boards:
+    """The boards of a season for all viewers; what takes time is done once for the organiser, and once for
+    all others.
+
+    Args:
+        course: tasks, entrants and acts.
+        outcomes, verdicts: of the trials, by id.
+        now: the time.
+
+    Raises:
+        ExperimentError: the competition has no season.
+    """
+
+    def __init__(
+        self,
+        course: Course,
+        outcomes: Mapping[str, TrialEnd],
+        verdicts: Mapping[str, ReplayVerdict],
+        now: datetime,
+    ) -> None:
+        self._course = course
+        self._now = now
+        self._state = SeasonState.of(course)
+        self._played = {
+            (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts)
+            for one in self._state.attempts("over")
+        }
+
+    def seen_by(self, viewer: str) -> SeasonBoard:
+        """Return the board for `PUBLIC`, for `ORGANISER` or for the entrant of this name."""
+        return self._whole.board(viewer) if viewer == ORGANISER else self._public.board(viewer)
+
+    @cached_property
+    def _public(self) -> _Board:
+        told = self._state.closed is not None
+        return _Board(
+            self._course, self._state, self._played, self._now, told, self._state.frozen_at(self._now)
+        )
+
+    @cached_property
+    def _whole(self) -> _Board:
+        return _Board(self._course, self._state, self._played, self._now, True, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,8 +258,8 @@ class _Placed:
     Args:
         name: of the entrant.
         since: when each attempt's predecessor, in whose place it stands, was over; in ascending order.
-        numbers: of the attempts.
-        totals: their scores.
+        counting: numbers of the attempts that count.
+        totals: scores of all that stand.
         tasks: score of each trial of each task, of the attempts that count, shape (tasks, trials).
         place: see `EntrantRow`.
         like: likewise.
@@ -231,47 +267,72 @@ class _Placed:
 
     name: str
     since: list[datetime]
-    numbers: list[int]
+    counting: list[int]
     totals: list[float]
     tasks: FloatArray
     place: int = 0
     like: int | None = None
 
 
-class _Maker:
+def _played_in(
+    attempt: Attempt,
+    competition: Competition,
+    outcomes: Mapping[str, TrialEnd],
+    verdicts: Mapping[str, ReplayVerdict],
+) -> _Played:
+    scores: dict[str, list[float]] = {}
+    forfeits: list[Forfeit] = []
+    verified = True
+    for task in competition.proving:
+        for number in range(competition.trials):
+            at = (attempt.number - 1) * competition.trials + number
+            trial = TrialId.of(attempt.entrant, task.name, at)
+            outcome, verdict = outcomes.get(trial), verdicts.get(trial)
+            verified &= outcome is not None and verdict is not None and verdict.problem is None
+            if outcome is not None and outcome.reason is not None:
+                forfeits.append(Forfeit(task.name, number, outcome.reason))
+            scores.setdefault(task.name, []).append(math.nan if verdict is None else verdict.score)
+    return _Played(scores, tuple(forfeits), verified)
+
+
+class _Board:
+    """The board for those who may know the same of entrants that are not theirs.
+
+    Args:
+        course, state, played, now: as of `Boards`.
+        told: whether they may know the scores of hidden tasks.
+        until: when attempts were over that they may know of; None for no limit.
+    """
+
     def __init__(
         self,
         course: Course,
-        outcomes: Mapping[str, TrialEnd],
-        verdicts: Mapping[str, ReplayVerdict],
+        state: SeasonState,
+        played: Mapping[tuple[str, int], _Played],
         now: datetime,
-        viewer: str,
+        told: bool,
+        until: datetime | None,
     ) -> None:
-        self._state = SeasonState.of(course)
         self._course = course
+        self._state = state
+        self._played = played
         self._now = now
-        self._viewer = viewer
-        self._until = None if viewer == ORGANISER else self._state.frozen_at(now)
-        told = viewer == ORGANISER or self._state.closed is not None
+        self._until = until
         proving = course.competition.proving
         self._tasks = tuple(task.name for task in proving if told or not task.hidden)
         self._hidden = tuple(task.name for task in proving if task.name not in self._tasks)
-        self._played = {
-            (one.entrant, one.number): self._played_in(one, outcomes, verdicts)
-            for one in self._state.attempts("over")
-        }
+        self._queue = {(one.entrant, one.number): i for i, one in enumerate(queue(state), 1)}
         self._lowest = self._lowest_scores()
-        self._queue = {(one.entrant, one.number): i for i, one in enumerate(queue(self._state), 1)}
+        self._placed = self._places_of()
+        self._times = _spread(sorted({time for one in self._placed.values() for time in one.since}))
+        self._over_time = _places(list(self._placed.values()), self._times, state.season.count)
+        self._acts = [one for one in reversed(course.acts) if one.act in (*_OF_ALL, *_OF_ITS_OWNER)]
+        self._rows: dict[str, EntrantRow] = {}
 
-    def board(self) -> SeasonBoard:
+    def board(self, viewer: str) -> SeasonBoard:
+        """Return the board for one of them."""
         state, season = self._state, self._state.season
-        placed = self._placed()
-        times = _spread(sorted({time for one in placed.values() for time in one.since}))
-        places = _places(list(placed.values()), times, season.count)
-        rows = [
-            self._row(entrant, placed.get(name), places.get(name, ()))
-            for name, entrant in state.entrants.items()
-        ]
+        shown = [self._row(entrant, viewer) for entrant in state.entrants.values()]
         if state.closed is not None:
             phase = "closed"
         else:
@@ -286,39 +347,18 @@ class _Maker:
             season.count,
             self._tasks,
             self._hidden,
-            tuple(sorted(rows, key=lambda row: (row.place or math.inf, row.shown))),
-            tuple(map(_text, times)),
-            tuple((self._shown(one.entrant), one.number) for one in state.attempts("playing")),
-            tuple((self._shown(name), number) for name, number in self._queue),
+            tuple(sorted(shown, key=lambda row: (row.place or math.inf, row.shown))),
+            tuple(map(_text, self._times)),
+            tuple((self._shown(one.entrant, viewer), one.number) for one in state.attempts("playing")),
+            tuple((self._shown(name, viewer), number) for name, number in self._queue),
             tuple((one.time, one.reason) for one in reversed(state.announcements)),
-            tuple(self._acts()),
+            tuple(self._acts_for(viewer)),
         )
 
-    def _knows(self, name: str) -> bool:
-        """Return whether the viewer may know everything about an entrant."""
-        return self._viewer in (ORGANISER, name)
-
-    def _shown(self, name: str) -> str:
-        if self._knows(name) or self._state.season.names == "own":
+    def _shown(self, name: str, viewer: str) -> str:
+        if _knows(viewer, name) or self._state.season.names == "own":
             return name
         return self._state.entrants[name].act.alias or name
-
-    def _played_in(
-        self, attempt: Attempt, outcomes: Mapping[str, TrialEnd], verdicts: Mapping[str, ReplayVerdict]
-    ) -> _Played:
-        count = self._course.competition.trials
-        scores: dict[str, list[float]] = {}
-        forfeits: list[Forfeit] = []
-        verified = True
-        for task in (*self._tasks, *self._hidden):
-            for number in range(count):
-                trial = TrialId.of(attempt.entrant, task, (attempt.number - 1) * count + number)
-                outcome, verdict = outcomes.get(trial), verdicts.get(trial)
-                verified &= outcome is not None and verdict is not None and verdict.problem is None
-                if outcome is not None and outcome.reason is not None:
-                    forfeits.append(Forfeit(task, number, outcome.reason))
-                scores.setdefault(task, []).append(math.nan if verdict is None else verdict.score)
-        return _Played(scores, tuple(forfeits), verified)
 
     def _standing(self, entrant: Enrolled) -> list[tuple[Attempt, Attempt]]:
         """Return the verified attempts that stand; see `Enrolled.standing`."""
@@ -350,7 +390,7 @@ class _Maker:
                 scores[at] = min(scores[at], self._lowest.get((lost.task, lost.trial), math.inf))
         return scores
 
-    def _placed(self) -> dict[str, _Placed]:
+    def _places_of(self) -> dict[str, _Placed]:
         found: list[_Placed] = []
         for name, entrant in self._state.entrants.items():
             if standing := self._standing(entrant):
@@ -358,27 +398,37 @@ class _Maker:
                 totals = [_total(one) for one in scores]
                 counting = _counting(totals, self._state.season.count)
                 since = accumulate((root.ended or root.requested for root, _ in standing), max)
-                numbers = [one.number for _, one in standing]
                 tasks = np.mean([scores[i] for i in counting], axis=0)
+                numbers = [standing[i][1].number for i in counting]
                 found.append(_Placed(name, list(since), numbers, totals, tasks))
         _compare(found, self._state.season.count)
         return {one.name: one for one in found}
 
-    def _row(self, entrant: Enrolled, placed: _Placed | None, places: Sequence[int | None]) -> EntrantRow:
-        name, knows = entrant.name, self._knows(entrant.name)
+    def _row(self, entrant: Enrolled, viewer: str) -> EntrantRow:
+        """Return the row of an entrant; what others see is made once."""
+        mine = entrant.name == viewer
+        row = self._rows.get(entrant.name)
+        if row is None or mine:
+            row = self._made(entrant, viewer)
+        if not mine:
+            self._rows[entrant.name] = row
+        return row
+
+    def _made(self, entrant: Enrolled, viewer: str) -> EntrantRow:
+        name, knows = entrant.name, _knows(viewer, entrant.name)
         named = knows or self._state.season.names == "own"
-        attempts = [self._attempt(one, placed) for one in entrant.attempts.values()]
+        attempts = [self._attempt(one, knows) for one in entrant.attempts.values()]
         row = EntrantRow(
-            self._shown(name),
+            self._shown(name, viewer),
             name if named else "",
             entrant.act.team if named else "",
             counts=Counter(one.state for one in attempts),
             attempts=tuple(attempts),
             missing=f"excluded: {entrant.excluded}" if entrant.excluded else "no verified attempt yet",
             paused=entrant.paused if knows else "",
-            mine=name == self._viewer,
+            mine=name == viewer,
         )
-        if placed is None:
+        if (placed := self._placed.get(name)) is None:
             return row
         low, high = interval(tuple(tuple(trials) for trials in placed.tasks.tolist()))
         return replace(
@@ -389,12 +439,11 @@ class _Maker:
             high=high,
             tasks=self._by_task(placed.tasks),
             like=placed.like,
-            places=tuple(places),
+            places=tuple(self._over_time[name]),
             missing="",
         )
 
-    def _attempt(self, one: Attempt, placed: _Placed | None) -> AttemptRow:
-        knows = self._knows(one.entrant)
+    def _attempt(self, one: Attempt, knows: bool) -> AttemptRow:
         row = AttemptRow(
             one.number,
             one.state,
@@ -413,32 +462,32 @@ class _Maker:
         if not played.verified:
             return replace(row, state="unverified")
         scores = self._scores(one)
+        placed = self._placed.get(one.entrant)
         return replace(
             row,
             state="forfeited" if played.forfeits else "verified",
             score=_total(scores),
             tasks=self._by_task(scores),
-            counts=placed is not None and self._counts(one, placed),
+            counts=placed is not None and one.number in placed.counting,
             forfeits=tuple(lost for lost in played.forfeits if lost.task in self._tasks),
         )
-
-    def _counts(self, one: Attempt, placed: _Placed) -> bool:
-        counting = _counting(placed.totals, self._state.season.count)
-        return one.number in [placed.numbers[i] for i in counting]
 
     def _by_task(self, scores: FloatArray) -> dict[str, float]:
         return {task: float(np.mean(row)) for task, row in zip(self._tasks, scores, strict=True)}
 
-    def _acts(self) -> Iterator[Act]:
-        """Yield the acts that the viewer may know, newest first, without what they say of players."""
-        for one in reversed(self._course.acts):
+    def _acts_for(self, viewer: str) -> Iterator[Act]:
+        """Yield the acts that a viewer may know, newest first, without what they say of players."""
+        for one in self._acts:
             name, _, trial = one.subject.partition("/")
-            private = one.act in _OF_ITS_OWNER and one.subject != EVERYBODY and not self._knows(name)
-            if one.act in (*_OF_ALL, *_OF_ITS_OWNER) and not private:
-                shown = self._shown(name) if name in self._state.entrants else name
+            if one.act in _OF_ALL or one.subject == EVERYBODY or _knows(viewer, name):
+                shown = self._shown(name, viewer) if name in self._state.entrants else name
                 subject = f"{shown}/{trial}" if trial else shown
-                kept = replace(one, subject=subject, player="", id="", trial="", alias="", team="", token="")
-                yield kept
+                yield replace(one, subject=subject, player="", id="", trial="", alias="", team="", token="")
+
+
+def _knows(viewer: str, name: str) -> bool:
+    """Return whether a viewer may know everything about an entrant."""
+    return viewer in (ORGANISER, name)
 
 
 def _counting(totals: Sequence[float], count: str) -> list[int]:
@@ -469,12 +518,19 @@ def _compare(found: Sequence[_Placed], count: str) -> None:
     sums, flipped = shares.sum(axis=1), shares @ flips
     ranked = sorted(range(len(found)), key=lambda i: found[i].place)
     for i in ranked:
-        above = [other for other in ranked if found[other].place < found[i].place]
-        observed = np.abs(sums[above] - sums[i])
-        by_chance = np.abs(flipped[above] - flipped[i]) >= (1 - _ROUNDING) * observed[:, None]
-        separated = np.flatnonzero((1 + by_chance.sum(axis=1)) / (1 + _FLIPS) <= _LEVEL)
-        first = int(separated[-1]) + 1 if separated.size else 0
-        found[i].like = found[above[first]].place if first < len(above) else None
+        above = ranked[: found[i].place - 1]
+        like = None
+        while above:
+            some, above = above[-_AT_ONCE:], above[:-_AT_ONCE]
+            observed = np.abs(sums[some] - sums[i])
+            by_chance = np.abs(flipped[some] - flipped[i]) >= (1 - _ROUNDING) * observed[:, None]
+            separated = np.flatnonzero((1 + by_chance.sum(axis=1)) / (1 + _FLIPS) <= _LEVEL)
+            first = int(separated[-1]) + 1 if separated.size else 0
+            if first < len(some):
+                like = found[some[first]].place
+            if first:
+                break
+        found[i].like = like
 
 
 def _places(found: Sequence[_Placed], times: Sequence[datetime], count: str) -> dict[str, list[int | None]]:
@@ -485,13 +541,13 @@ def _places(found: Sequence[_Placed], times: Sequence[datetime], count: str) -> 
         for at, time in enumerate(times):
             if known := bisect_right(one.since, time):
                 row[at] = after[known - 1]
-    ordered = np.sort(-scores, axis=0)  # NaN last
-    places: dict[str, list[int | None]] = {one.name: [] for one in found}
-    for one, row in zip(found, scores, strict=True):
-        for at, score in enumerate(row):
-            place = 1 + int(np.searchsorted(ordered[:, at], -score))
-            places[one.name].append(None if math.isnan(score) else place)
-    return places
+    places = [1 + np.searchsorted(np.sort(-column), -column) for column in scores.T]  # NaN is last
+    return {
+        one.name: [
+            None if np.isnan(score) else int(place[i]) for score, place in zip(row, places, strict=True)
+        ]
+        for i, (one, row) in enumerate(zip(found, scores, strict=True))
+    }
 
 
 def _spread(times: Sequence[datetime]) -> list[datetime]:

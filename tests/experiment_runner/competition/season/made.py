@@ -11,7 +11,7 @@ from experiment_runner.competition.course import Course
 from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records import journal, seal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act
-from experiment_runner.competition.season.board import PUBLIC, EntrantRow, SeasonBoard, board_of
+from experiment_runner.competition.season.board import PUBLIC, Boards, EntrantRow, SeasonBoard
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import parse_competition
 from experiment_runner.plan.ids import TrialId
@@ -107,7 +107,7 @@ class Made:
 
     def board(self, viewer: str = PUBLIC) -> SeasonBoard:
         """Return the board now."""
-        return board_of(self.course, self.outcomes, self.verdicts, self.now, viewer)
+        return Boards(self.course, self.outcomes, self.verdicts, self.now).seen_by(viewer)
 
     def rows(self, viewer: str = PUBLIC) -> dict[str, EntrantRow]:
         """Return the rows of the board by what they show."""

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.season.board import ORGANISER, EntrantRow, SeasonBoard
+from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards, EntrantRow, SeasonBoard
 from experiment_runner.store.records import ReplayVerdict
 from tests.experiment_runner.competition.season.made import FILE, Made
 
@@ -122,6 +122,15 @@ def test_pseudonyms_and_reasons_are_for_the_owner_and_the_organiser() -> None:
     assert (own["ann"].mine, own["ann"].paused) == (True, "three forfeits")
     assert set(own) == {"ann", "alias of bob", "alias of cy"}
     assert set(made.rows(ORGANISER)) == set(NAMES)
+
+
+def test_one_viewer_does_not_see_what_was_made_for_another() -> None:
+    made = Made(NAMES)
+    made.attempt("ann", 1.0)
+    made.act(journal.PAUSE, "ann", "three forfeits")
+    boards = Boards(made.course, made.outcomes, made.verdicts, made.now)
+    for viewer in ("ann", PUBLIC, ORGANISER, "ann", "bob", PUBLIC):
+        assert boards.seen_by(viewer) == made.board(viewer)
 
 
 def test_who_is_not_separated_is_said() -> None:
