@@ -54,6 +54,12 @@ def test_an_attempt_is_played_verified_and_over(season: Season) -> None:
     assert season.states("alice") == {1: "over"}
     assert season.store.verdicts().keys() == {"alice/mines/0", "alice/mines/1"}
     assert broken(season.store) == ""
+    reply = season.ask(Attempt("alice", 1))
+    scores = [verdict.score for verdict in season.store.verdicts().values()]
+    assert (reply["state"], reply["outcome"], reply["score"]) == ("over", "verified", sum(scores) / 2)
+    assert reply["low"] <= reply["score"] <= reply["high"]
+    assert (reply["place"], reply["of"], reply["left"]) == (1, 1, 2)
+    assert reply["returns"] == "2026-12-02T00:00:00+00:00"
 
 
 def test_every_attempt_has_the_same_levels_and_its_own_trials(season: Season) -> None:
