@@ -20,7 +20,7 @@ import numpy as np
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.competition.course import Course
-from experiment_runner.competition.records.journal import ENTER, Act
+from experiment_runner.competition.records.journal import ADD, ANNOUNCE, EXCLUDE, READMIT, RERUN, Act
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.plan.ids import TrialId
@@ -30,6 +30,9 @@ from experiment_runner.store.results import Results
 from glue.console import one_line
 from glue.errors import ExperimentError
 from glue.files import read_text
+
+_SHOWN: Final = (ADD, ANNOUNCE, EXCLUDE, READMIT, RERUN)
+"""Acts that the standings show: those about trials, not those of a season."""
 
 _RESAMPLES: Final = 10_000
 _INTERVAL: Final = (2.5, 97.5)
@@ -137,8 +140,10 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
         reveal: whether to include the seeds of the trials.
 
     Raises:
-        ExperimentError: the run cannot be read, or was changed since it was sealed.
+        ExperimentError: the run cannot be read, was changed since it was sealed, or its season is not closed.
     """
+    if course.in_season:
+        raise ExperimentError("the season is not closed: there are no standings yet, only its board")
     check_seal(results)
     tasks = tuple(task.name for task in course.competition.testing)
     excluded = course.excluded
@@ -164,7 +169,7 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
         ),
         _program(results.directory),
         tuple(_seeds(results, course)) if reveal else (),
-        tuple(one for one in course.acts if one.act != ENTER),
+        tuple(one for one in course.acts if one.act in _SHOWN and (one.act != RERUN or one.trial)),
     )
 
 

@@ -422,7 +422,7 @@ class _Board:
             self._shown(name, viewer),
             name if named else "",
             entrant.act.team if named else "",
-            counts=Counter(one.state for one in attempts),
+            counts=dict(Counter(one.state for one in attempts)),
             attempts=tuple(attempts),
             missing=f"excluded: {entrant.excluded}" if entrant.excluded else "no verified attempt yet",
             paused=entrant.paused if knows else "",
