@@ -10,7 +10,7 @@ from typing import Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY
+from experiment_runner.cli.options import DIRECTORY, place_of
 from experiment_runner.view.launch import check_view
 from glue.console import say
 from glue.errors import ConfigError
@@ -54,22 +54,23 @@ def page(directory: Path, address: str, proxy: str, insecure: bool, publish: Pat
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     check_view("page")
     from experiment_runner.competition.season.entrance import routes
-    from experiment_runner.view.season.boards import Boards, organisers_token
-    from experiment_runner.view.season.page import Passing, season_page, utc_now
+    from experiment_runner.view.season.page import Passing, season_page
     from experiment_runner.view.season.publish import Publisher
-    from experiment_runner.view.server import Place, serve
+    from experiment_runner.view.season.views import Views, organisers_token, utc_now
+    from experiment_runner.view.server import serve
 
     match = _ADDRESS.fullmatch(address)
     if match is None or int(match[3]) > 65535:
         raise ConfigError(f"--page is HOST:PORT, as in 127.0.0.1:8097, not {address}", settings=("page",))
-    place = Place(match[1] or match[2], int(match[3]), proxy)
-    place.check(insecure)
+    place = place_of(match[1] or match[2], int(match[3]), proxy, insecure)
+    views = Views(directory, utc_now)
+    views.viewers()  # says why, if the directory holds no season
     token = organisers_token(directory)
     os.nice(_NICENESS)  # what is played has priority
     if publish is not None:
-        Publisher(Boards(directory, utc_now), publish).keep(say)
+        Publisher(views, publish).keep(say)
 
     def ready(url: str) -> None:
         say(f"the page is at {url}; the organiser's, which shows all: {url}?token={token}")
 
-    serve(lambda address, _: season_page(directory, address, routes, utc_now), place, ready, Passing)
+    serve(lambda address, _: season_page(views, address, routes), place, ready, Passing)

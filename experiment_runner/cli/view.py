@@ -12,6 +12,7 @@ from typing import Final
 
 import click
 
+from experiment_runner.cli.options import place_of
 from experiment_runner.view.launch import check_view
 from glue import __version__
 from glue.errors import ConfigError
@@ -77,10 +78,9 @@ def view(
     check_view()
     from experiment_runner.view.app import page
     from experiment_runner.view.catalog import address_of
-    from experiment_runner.view.server import Place, new_token, serve
+    from experiment_runner.view.server import new_token, serve
 
-    place = Place(host, port, proxy)
-    place.check(insecure)
+    place = place_of(host, port, proxy, insecure)
     os.nice(_NICENESS)  # the runs have priority
     shown = directories or (_DEFAULT_FOLDER,)
 

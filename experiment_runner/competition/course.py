@@ -240,7 +240,6 @@ def _rules(competition: Competition) -> dict[str, object]:
         "tasks": {task.name for task in competition.tasks},
         "episodes or steps": [(task.name, task.episodes, task.steps) for task in competition.tasks],
         "phases": [(task.name, task.phase, task.hidden) for task in competition.tasks],
-        "phases, with a season": competition.season is not None,
     }
 
 

@@ -20,7 +20,7 @@ _T = TypeVar("_T")
 
 _MOST_ANSWERS: Final = 32
 _REST: Final = 20
-"""Multiple of its computing time for which an answer is kept: computing takes at most 5 % of a core."""
+"""Usual multiple of its computing time for which an answer is kept: computing takes at most 5 % of a core."""
 
 
 class Reader:
@@ -64,10 +64,12 @@ class Cache:
 
     Args:
         most: number of answers that are kept.
+        rest: multiple of its computing time for which an answer is kept at least.
     """
 
-    def __init__(self, most: int = _MOST_ANSWERS) -> None:
+    def __init__(self, most: int = _MOST_ANSWERS, rest: int = _REST) -> None:
         self._most = most
+        self._rest = rest
         self._answers: OrderedDict[Hashable, _Answer] = OrderedDict()
 
     def get(self, question: Hashable, signs: object, compute: Callable[[], Any]) -> Any:
@@ -77,7 +79,7 @@ class Cache:
         if found is None or (found.signs != signs and now >= found.until):
             value = compute()
             done = time.monotonic()
-            found = self._answers[question] = _Answer(signs, done + _REST * (done - now), value)
+            found = self._answers[question] = _Answer(signs, done + self._rest * (done - now), value)
             if len(self._answers) > self._most:
                 self._answers.popitem(last=False)
         self._answers.move_to_end(question)

@@ -17,7 +17,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
-from urllib.parse import urlsplit
 
 import uvicorn
 from starlette.types import ASGIApp
@@ -49,25 +48,6 @@ class Place:
     host: str
     port: int | None
     proxy: str = ""
-
-    def check(self, insecure: bool) -> None:
-        """Check the place of a page that asks for tokens.
-
-        Args:
-            insecure: whether other machines may reach it without a proxy in front of it.
-
-        Raises:
-            ConfigError: they could, or the proxy is no address.
-        """
-        if not insecure and not is_loopback(self.host):
-            raise ConfigError(
-                f"{self.host} can be reached by other machines, and the page is not encrypted: put a proxy "
-                "in front of it (docs/view.md), or add --insecure"
-            )
-        if self.proxy and (
-            urlsplit(self.proxy).scheme not in ("http", "https") or not urlsplit(self.proxy).netloc
-        ):
-            raise ConfigError(f"--proxy is an address such as https://lab.example/runs, not {self.proxy}")
 
 
 def new_token() -> str:

@@ -78,7 +78,7 @@ class Act:
         token: SHA-256, in hexadecimal, of the token with which its owner sees more of the page.
         number: of the attempt, from 1; of a grant, the number of attempts.
         instead: of a rerun of an attempt: number of the attempt that no longer counts.
-        value: of a change: the setting's new value, as JSON.
+        value: of a change, the setting's new value, as JSON; of a start, the number of the slot.
     """
 
     time: str
@@ -122,7 +122,12 @@ def act(kind: str, subject: str, reason: str, *, now: datetime | None = None, **
         now: the time; None reads the clock.
         more: further fields.
     """
-    return Act((now or datetime.now(UTC)).astimezone(UTC).strftime(_TIME), kind, subject, reason, **more)
+    return Act(time_text(now or datetime.now(UTC)), kind, subject, reason, **more)
+
+
+def time_text(time: datetime) -> str:
+    """Return a time as in `Act.time`."""
+    return time.astimezone(UTC).strftime(_TIME)
 
 
 def text_of(acts: Iterable[Act]) -> str:

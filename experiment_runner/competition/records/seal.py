@@ -47,6 +47,8 @@ _MOST_BYTES: Final = 2**24
 _TRIES: Final = 3
 _SUM_BYTES: Final = 512
 
+_SPEC: Final = ("id", "agent", "environment", "episodes", "max_steps", "seed", "steps")
+
 _Sum = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]+$", max_length=2 * _SUM_BYTES)]
 """The digest of a set, in hexadecimal."""
 
@@ -118,7 +120,7 @@ def record_acts(store: Store, acts: Sequence[Act]) -> None:
 def add_trials(store: Store, specs: Sequence[TrialSpec]) -> None:
     """Renew the seal, and store further trials, for which acts of the journal call."""
     found = _newest(store)
-    _renew(store, found, replace(found.now, trials=_sum(map(asdict, specs), found.now.trials)))
+    _renew(store, found, replace(found.now, trials=_sum(map(_planned, specs), found.now.trials)))
     store.extend(specs)
 
 
@@ -264,7 +266,7 @@ def _digests(results: Results) -> _Digests:
     return _Digests(
         _digest(_files(results.directory)),
         _chained("", journal.content(results.directory)),
-        _sum(asdict(record.spec) for record in results.trials()),
+        _sum(_planned(record.spec) for record in results.trials()),
         _sum(_ended(*one) for one in results.outcomes().items()),
         _sum(_verified(results, *one) for one in results.verdicts().items()),
     )
@@ -292,6 +294,11 @@ def _files(directory: Path) -> list[str]:
     return [hashlib.sha256(file).hexdigest() for file in files]
 
 
+def _planned(spec: TrialSpec) -> dict[str, object]:
+    """Return the fields of a trial, those that are younger than the seal only if they are set."""
+    return {name: value for name, value in asdict(spec).items() if value or name in _SPEC}
+
+
 def _ended(trial_id: str, outcome: TrialEnd) -> object:
     return trial_id, outcome.reason, outcome.digest.hex()
 
@@ -316,7 +323,7 @@ def _earlier_played(results: Results) -> str:
         files.append(hashlib.sha256(acts).hexdigest())
     return _digest(
         files,
-        [asdict(record.spec) for record in results.trials()],
+        [_planned(record.spec) for record in results.trials()],
         {name: [outcome.reason, outcome.digest.hex()] for name, outcome in results.outcomes().items()},
     )
 

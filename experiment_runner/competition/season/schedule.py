@@ -7,14 +7,11 @@ attempt at a time. So a thousand attempts of one entrant delay those of another 
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import UTC, datetime, time, timedelta
-from typing import Final
+from datetime import datetime, time, timedelta
 
 from experiment_runner.competition.records.journal import REQUEST, Act, act
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from glue.errors import ExperimentError
-
-_NEVER: Final = datetime.min.replace(tzinfo=UTC)
 
 
 def queue(state: SeasonState) -> list[Attempt]:
@@ -23,7 +20,7 @@ def queue(state: SeasonState) -> list[Attempt]:
     An attempt's place in the queue is its place in this list.
     """
     turns = [
-        ((turn, entrant.served or _NEVER, one.requested, entrant.name), one)
+        ((turn, entrant.served, one.order), one)
         for entrant in state.entrants.values()
         if not (entrant.excluded or entrant.paused)
         for turn, one in enumerate(entrant.waiting)
@@ -39,15 +36,15 @@ def next_attempts(
     Args:
         state: the season.
         now: the time.
-        ready: returns whether an attempt can be let play; others are passed over.
+        ready: whether an attempt can play; others are passed over.
     """
     if state.paused or state.closed is not None or now < state.season.opens:
         return []
     playing = {one.entrant for one in state.attempts("playing")}
     chosen: dict[str, Attempt] = {}
     for one in queue(state):
-        if one.entrant not in playing and one.entrant not in chosen and ready(one):
-            chosen[one.entrant] = one
+        if one.entrant not in playing and ready(one):
+            chosen.setdefault(one.entrant, one)
     return list(chosen.values())[: max(0, state.season.parallel - len(playing))]
 
 

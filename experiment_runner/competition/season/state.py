@@ -35,6 +35,7 @@ class Attempt:
         instead: number of the attempt instead of which it counts; 0 if it is no rerun.
         day: the day to which it is charged; None if it costs nothing, or one of the granted attempts.
         granted: whether it costs one of the granted attempts.
+        order: number of the act that queued it, which orders attempts also if the clock was set back.
     """
 
     entrant: str
@@ -48,6 +49,7 @@ class Attempt:
     instead: int = 0
     day: date | None = None
     granted: bool = False
+    order: int = 0
 
 
 @dataclass(slots=True)
@@ -62,7 +64,8 @@ class Enrolled:
         granted: number of attempts that are left of those that were granted.
         used: number of attempts that were charged to each day.
         failed: attempts that it has forfeited in a row since its last image, or since it was resumed.
-        served: when an attempt of it was last let play; None if none was.
+        served: number of the act that last let an attempt of it play; 0 if none was.
+        current: its attempts that wait or play, by number.
     """
 
     act: Act
@@ -72,7 +75,8 @@ class Enrolled:
     granted: int = 0
     used: Counter[date] = field(default_factory=Counter)
     failed: int = 0
-    served: datetime | None = None
+    served: int = 0
+    current: dict[int, Attempt] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -82,27 +86,30 @@ class Enrolled:
     @property
     def playing(self) -> Attempt | None:
         """Its attempt that is playing."""
-        return next((one for one in self.attempts.values() if one.state == "playing"), None)
+        return next((one for one in self.current.values() if one.state == "playing"), None)
 
     @property
     def waiting(self) -> list[Attempt]:
         """Its attempts that wait, oldest first."""
-        return [one for one in self.attempts.values() if one.state == "waiting"]
+        return [one for one in self.current.values() if one.state == "waiting"]
 
-    def effective(self) -> Iterator[tuple[Attempt, Attempt]]:
-        """Yield each attempt that is over, unless another that is over replaces it; also those withdrawn.
+    def standing(self, until: datetime | None = None) -> Iterator[tuple[Attempt, Attempt]]:
+        """Yield each attempt that is over and was neither withdrawn nor replaced by one that is over, after
+        the attempt in whose place it stands: itself, or the first of those that were run again.
 
-        Before it comes the attempt in whose place it stands: itself, or the first of those that were rerun.
+        Args:
+            until: later attempts are not over yet; None for no limit.
         """
         last: dict[int, Attempt] = {}
         for one in self.attempts.values():
             root = one
             while root.instead:
                 root = self.attempts[root.instead]
-            if one.state == "over":
+            if one.state == "over" and (until is None or (one.ended or one.requested) <= until):
                 last[root.number] = one
         for number in sorted(last):
-            yield self.attempts[number], last[number]
+            if not last[number].withdrawn:
+                yield self.attempts[number], last[number]
 
 
 @dataclass(slots=True)
@@ -117,6 +124,7 @@ class SeasonState:
         thawed: whether it was thawed, which also overrules `Season.freeze`.
         closed: when the season was closed; None if it was not.
         announcements: oldest first.
+        count: number of acts.
     """
 
     season: Season
@@ -126,6 +134,7 @@ class SeasonState:
     thawed: bool = False
     closed: datetime | None = None
     announcements: list[Act] = field(default_factory=list)
+    count: int = 0
 
     @classmethod
     def of(cls, course: Course) -> SeasonState:
@@ -149,6 +158,7 @@ class SeasonState:
         Raises:
             ExperimentError: it cannot have been.
         """
+        self.count += 1
         match one.act:
             case journal.ENTER | journal.ADD | journal.ENROL:
                 self.entrants[one.subject] = Enrolled(one)
@@ -197,11 +207,12 @@ class SeasonState:
         return attempts[number]
 
     def attempts(self, *states: State) -> list[Attempt]:
-        """Return all attempts in these states."""
+        """Return all attempts in these states; the cost of those that wait or play depends on no others."""
+        current = not {*states} - {"waiting", "playing"}
         return [
             one
             for entrant in self.entrants.values()
-            for one in entrant.attempts.values()
+            for one in (entrant.current if current else entrant.attempts).values()
             if one.state in states
         ]
 
@@ -238,7 +249,7 @@ class SeasonState:
             raise ExperimentError(
                 f"the journal queues attempt {one.number} of {one.subject}, who has {len(entrant.attempts)}"
             )
-        made = Attempt(one.subject, one.number, one.when, instead=one.instead)
+        made = Attempt(one.subject, one.number, one.when, instead=one.instead, order=self.count)
         if one.act == journal.RERUN:
             self.attempt(one.subject, one.instead)
         else:
@@ -249,7 +260,7 @@ class SeasonState:
             else:
                 made = replace(made, granted=True)
                 entrant.granted -= 1
-        entrant.attempts[one.number] = made
+        entrant.attempts[one.number] = entrant.current[one.number] = made
 
     def _move(self, one: Act) -> None:
         entrant, was = self.entrant(one.subject), self.attempt(one.subject, one.number)
@@ -260,7 +271,7 @@ class SeasonState:
         match one.act:
             case journal.START:
                 new = replace(was, state="playing", began=one.when)
-                entrant.served = one.when
+                entrant.served = self.count
             case journal.OVER:
                 new = replace(was, state="over", ended=one.when, why=one.reason)
                 entrant.failed = entrant.failed + 1 if one.reason else 0
@@ -273,6 +284,9 @@ class SeasonState:
                     entrant.used[was.day] -= 1
                 entrant.granted += was.granted
         entrant.attempts[was.number] = new
+        entrant.current.pop(was.number, None)
+        if new.state == "playing":
+            entrant.current[was.number] = new
 
 
 _BEFORE: Final[dict[str, tuple[State, ...]]] = {

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from experiment_runner.view.season.boards import View
+from experiment_runner.view.season.views import View
 from glue.errors import ConfigError
 
 

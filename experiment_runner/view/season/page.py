@@ -8,7 +8,6 @@ is as hard to guess, and still works when the page has been started again.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
-from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
 from typing import Final
@@ -23,9 +22,9 @@ from experiment_runner.competition.season.control import NoServer, Reply, ask
 from experiment_runner.view.app import application, file_routes, static_file
 from experiment_runner.view.guard import READING, Address, Guard, cookie_of
 from experiment_runner.view.reader import Reader, json_response
-from experiment_runner.view.season.boards import Boards, digest_of
 from experiment_runner.view.season.metrics import metrics_of
 from experiment_runner.view.season.replays import Replays
+from experiment_runner.view.season.views import Views, digest_of
 from experiment_runner.view.server import Connection
 
 _ENTRANCE: Final = "/season/api/"
@@ -34,11 +33,6 @@ _ENTRANCE: Final = "/season/api/"
 _UPLOAD: Final = "/season/api/image"
 _ASK_SECONDS: Final = 2.0
 _VIEWER: Final = "viewer"
-
-
-def utc_now() -> datetime:
-    """Return the time."""
-    return datetime.now(UTC)
 
 
 class Passing(Connection):
@@ -75,62 +69,51 @@ class SeasonGuard(Guard):
         return None
 
 
-def season_page(
-    directory: Path,
-    address: Address,
-    entrance: Callable[[Path], list[BaseRoute]],
-    clock: Callable[[], datetime],
-) -> Guard:
+def season_page(views: Views, address: Address, entrance: Callable[[Path], list[BaseRoute]]) -> Guard:
     """Return the application, guarded.
 
     Args:
-        directory: of the season.
+        views: of the season.
         address: the names by which it may be addressed.
-        entrance: returns the routes below `/season/api/`.
-        clock: returns the time.
+        entrance: returns the routes below `/season/api/` for the directory of a season.
 
     Raises:
         ExperimentError: the season cannot be read.
     """
-    viewers: dict[str, str] = Boards(directory, clock).viewers()
-    # The public does not wait for the boards of those who see more.
-    public, own, played = (Boards(directory, clock) for _ in range(3))
-    reads = {True: Reader("public"), False: Reader("own")}
-    server, replays = Reader("server"), Replays()
+    directory, viewers = views.directory, views.viewers()
+    read, server, replays = Reader("views"), Reader("server"), Replays()
 
-    async def read(request: Request, what: Callable[[Boards, str], bytes]) -> bytes:
-        viewer = request.scope[_VIEWER]
-        is_public = viewer == PUBLIC
-        return await reads[is_public](lambda: what(public if is_public else own, viewer))
+    async def changing(request: Request, kind: str, what: Callable[[str], bytes]) -> Response:
+        viewer: str = request.scope[_VIEWER]
+        return _unchanged_or(request, await read(lambda: what(viewer)), kind)
 
     async def first(request: Request) -> Response:
         token = request.query_params.get("token")
         if token is None:
             return await index(request)
-        viewers.update(await server(public.viewers))  # it may have enrolled a moment ago
+        viewers.update(await server(views.viewers))  # it may have enrolled a moment ago
         if digest_of(token) not in viewers:
             return PlainTextResponse("This token opens nothing here: the page itself is open to all.", 403)
         return guard.logged_in(_cookie(address), token)
 
     async def board(request: Request) -> Response:
-        return _unchanged_or(request, await read(request, Boards.board), "application/json")
+        return await changing(request, "application/json", views.board)
 
     async def entrant(request: Request) -> Response:
         name = request.path_params["name"]
-        content = await read(request, lambda boards, viewer: boards.entrant(viewer, name))
-        return _unchanged_or(request, content, "application/json")
+        return await changing(request, "application/json", lambda viewer: views.entrant(viewer, name))
 
     async def feed(request: Request) -> Response:
-        return _unchanged_or(request, await reads[True](lambda: public.feed(PUBLIC)), "application/atom+xml")
+        return await changing(request, "application/atom+xml", lambda _: views.feed(PUBLIC))
 
     async def listing(request: Request) -> Response:
         viewer, (name, attempt) = request.scope[_VIEWER], request.path_params.values()
-        content = await replays(lambda: played.replays(viewer, name, attempt))
+        content = await replays(lambda: views.replays(viewer, name, attempt))
         return _unchanged_or(request, content, "application/json")
 
     async def replay(request: Request) -> Response:
         viewer, where = request.scope[_VIEWER], request.path_params.values()
-        content = await replays(lambda: played.replay(viewer, *where))
+        content = await replays(lambda: views.replay(viewer, *where))
         return _unchanged_or(request, content, "application/octet-stream")
 
     def status() -> Reply | None:
@@ -146,7 +129,7 @@ def season_page(
 
     async def metrics(request: Request) -> Response:
         found = await server(status)
-        content, kind = await reads[True](lambda: metrics_of(public.view(PUBLIC), found))
+        content, kind = await read(lambda: metrics_of(views.view(PUBLIC), found))
         return Response(content, media_type=kind)
 
     index: Callable[[Request], Awaitable[Response]] = static_file("season.html")

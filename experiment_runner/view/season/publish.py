@@ -11,7 +11,7 @@ from typing import Final
 from experiment_runner.competition.season.board import PUBLIC
 from experiment_runner.store.layout import replace_flushed
 from experiment_runner.view.app import static_content, static_files
-from experiment_runner.view.season.boards import Boards
+from experiment_runner.view.season.views import Views
 from glue.errors import ExperimentError
 
 _SECONDS: Final = 60.0
@@ -21,12 +21,12 @@ class Publisher:
     """Writes the public page into a folder, and later what has changed.
 
     Args:
-        boards: of the season.
+        views: of the season.
         folder: made if it does not exist.
     """
 
-    def __init__(self, boards: Boards, folder: Path) -> None:
-        self._boards = boards
+    def __init__(self, views: Views, folder: Path) -> None:
+        self._views = views
         self._folder = folder
         self._written: dict[str, int] = {}
 
@@ -71,12 +71,12 @@ class Publisher:
         threading.Thread(target=work, name="publisher", daemon=True).start()
 
     def _files(self) -> Iterator[tuple[str, bytes]]:
-        board = json.loads(self._boards.board(PUBLIC))
+        board = json.loads(self._views.board(PUBLIC))
         # No server is there to play records again.
         yield "season.json", json.dumps(board | {"replays": False}).encode()
-        yield "feed.xml", self._boards.feed(PUBLIC)
+        yield "feed.xml", self._views.feed(PUBLIC)
         for entrant in board["entrants"]:
-            yield f"entrants/{entrant['name']}.json", self._boards.entrant(PUBLIC, entrant["name"])
+            yield f"entrants/{entrant['name']}.json", self._views.entrant(PUBLIC, entrant["name"])
 
     def _write(self, name: str, content: bytes) -> None:
         if self._written.get(name) != hash(content):

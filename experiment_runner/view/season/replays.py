@@ -56,10 +56,11 @@ class Replays:
             self._waiting -= 1
 
 
-def replayed(spec: TrialSpec, path: Path, wanted: int) -> bytes:
+def replayed(name: str, spec: TrialSpec, path: Path, wanted: int) -> bytes:
     """Return an episode of a verified record, with the observations that its environment shows again.
 
     Args:
+        name: of the record, for display.
         spec: the trial that it is of.
         path: of the record.
         wanted: number of the episode, from 1.
@@ -90,5 +91,5 @@ def replayed(spec: TrialSpec, path: Path, wanted: int) -> bytes:
                     raise ExperimentError("the episode is too large for the page: glue-replay shows it")
                 steps.append(_REWARD.pack(step.reward), step.action.body, observation, step.terminal)
         if count == wanted:
-            return packed(spec.id, count, replace(episode, start=shown, steps=steps))
+            return packed(name, count, replace(episode, start=shown, steps=steps))
     raise HTTPException(404, f"the trial has no episode {wanted}")

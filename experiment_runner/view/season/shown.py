@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any, Final
 
+from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.season.board import ORGANISER, PUBLIC, AttemptRow, EntrantRow, SeasonBoard
+from experiment_runner.competition.season.schedule import left, returns_at
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import Competition, Season
 from experiment_runner.report import svg
@@ -15,12 +18,15 @@ from experiment_runner.store.output import finite
 _MOST_LINES: Final = 7
 """Number of entrants whose places over time are drawn on the board: as many as there are colors."""
 
+_TICK: Final = re.compile(r">-(\d+)(\.\d+)?<")
+"""A number at the axis of places: there is no place between two others."""
+
 _SECONDS_OF_DAY: Final = 86_400
 _BYTES_OF_GIB: Final = 2**30
 
 
 def board_as_json(
-    board: SeasonBoard, state: SeasonState, rules: Sequence[str], viewer: str
+    board: SeasonBoard, state: SeasonState, rules: Sequence[str], viewer: str, now: datetime
 ) -> dict[str, Any]:
     """Return the board as JSON, without the attempts of the entrants.
 
@@ -29,6 +35,7 @@ def board_as_json(
         state: of the season.
         rules: see `rules_of`.
         viewer: see `season_board`.
+        now: the time.
     """
     mine = next((one for one in board.entrants if one.mine), None)
     began = {(one.shown, attempt.number): attempt.began for one in board.entrants for attempt in one.attempts}
@@ -37,7 +44,7 @@ def board_as_json(
         "state": _state(board, viewer),
         "tasks": board.tasks,
         "you": None if mine is None else mine.shown,
-        "left": None if mine is None else mine.paused,
+        "left": "" if mine is None else _left(state, viewer, now),
         "announcements": [{"time": time, "text": text} for time, text in board.announcements],
         "entrants": [_summary(one) | {"tasks": _finite(one.tasks)} for one in board.entrants],
         "playing": [
@@ -46,10 +53,7 @@ def board_as_json(
         ],
         "waiting": [shown for shown, _ in board.waiting],
         "over_time": over_time(board, board.entrants[:_MOST_LINES]),
-        "acts": [
-            {"time": one.time, "act": one.act, "subject": one.subject, "why": one.reason}
-            for one in board.acts
-        ],
+        "acts": [line_of(one) for one in board.acts],
         "rules": rules,
         "replays": True,
     }
@@ -94,7 +98,7 @@ def over_time(board: SeasonBoard, rows: Sequence[EntrantRow]) -> dict[str, Any] 
     ]
     drawn = svg.draw(lines, ("days", "place"))["svg"]
     return {
-        "svg": drawn.replace(">-", ">"),
+        "svg": _TICK.sub(lambda tick: f">{tick[1]}<" if not tick[2] else "><", drawn),
         "legend": [{"name": one.shown, "sample": svg.sample(number)} for number, one in enumerate(rows)],
     }
 
@@ -106,7 +110,7 @@ def rules_of(competition: Competition, season: Season) -> list[str]:
     rules = [
         f"Attempts: {season.attempts_per_day} {day}; one at a time for each entrant, {season.parallel} at "
         f"once in all, in turn. At most {season.most_waiting} of an entrant wait.",
-        f"Each attempt plays {competition.trials} trials of each task. An entrant's {which} counts.",
+        f"Each attempt plays each task {_times(competition.trials)}. An entrant's {which} counts.",
         f"Time: {limits.step_seconds:g} s for an answer; what takes longer is drawn from a bank of "
         f"{limits.bank_seconds:g} s for a trial. {limits.start_seconds:g} s to connect, "
         f"{limits.total_seconds:g} s for all answers of a trial.",
@@ -120,6 +124,17 @@ def rules_of(competition: Competition, season: Season) -> list[str]:
     if any(task.hidden for task in competition.proving):
         rules.append("Scores of tasks with hidden levels are told when the season is closed.")
     return rules
+
+
+def _times(number: int) -> str:
+    return "once" if number == 1 else f"{number} times"
+
+
+def _left(state: SeasonState, name: str, now: datetime) -> str:
+    """Return how many attempts an entrant has left, and when more come."""
+    number, more = left(state, state.entrants[name], now), returns_at(state, now)
+    when = "" if more is None else f"; a new day begins at {_minute(more.astimezone(UTC).isoformat())}"
+    return f"You have {number} attempt{'' if number == 1 else 's'} left{when}."
 
 
 def _state(board: SeasonBoard, viewer: str) -> str:

@@ -2,8 +2,11 @@
 
 import { h } from "./dom.js";
 
-/** Return the `button` that switches it, and `close()`; `view` is the address of the view, whose query keeps the choice. */
-export function projector(view, query) {
+/**
+ * Return the `button` that switches it, and `close()`; `view` is the address of the view, whose query keeps the choice, and
+ * `switched(isLarge)` is called when it was switched.
+ */
+export function projector(view, query, switched = () => {}) {
   const button = h("button", { type: "button", onclick: () => set(!document.body.classList.contains("projector")) }, "Projector");
   const leave = (event) => {
     if (event.key === "Escape") set(false);
@@ -13,6 +16,7 @@ export function projector(view, query) {
     document.body.classList.toggle("projector", isLarge);
     button.setAttribute("aria-pressed", String(isLarge));
     history.replaceState(null, "", `${view}${isLarge ? "?projector=1" : ""}`);
+    switched(isLarge);
   }
 
   document.addEventListener("keydown", leave);

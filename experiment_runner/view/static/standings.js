@@ -1,7 +1,6 @@
 // The live standings of a competition, also enlarged for a lecture hall.
 
-import { drawing } from "./curves.js";
-import { count, failure, get, h, loading, score, setText, table } from "./dom.js";
+import { count, drawing, failure, get, h, loading, score, setText, table } from "./dom.js";
 import { projector } from "./projector.js";
 import { listen } from "./stream.js";
 

@@ -44,17 +44,17 @@ function facts(found) {
     ["place", found.place === null ? "none yet" : `${found.place}`],
     ["score", `${score(found.score)}, 95 % interval ${interval(found)}`],
     ["attempts", counts(found.counts)],
-    ["counts", found.counting === null ? "no attempt yet" : `attempt ${found.counting}`],
+    ["counts", found.counting.length ? found.counting.map((number) => `attempt ${number}`).join(", ") : "no attempt yet"],
+    ["name", found.own],
     ["team", found.team],
-    ["program", found.program],
     ["state", found.why],
   ].filter(([, text]) => text);
 }
 
 function attempts(name, rows, { replays }) {
   if (!rows.length) return h("p", { class: "empty" }, "There is no attempt yet.");
-  return table("Attempts", ["attempt", "state", "score", "95 % interval", "began", "ended", "why", "replay"], rows.map((one) => [
-    `${one.attempt}`, one.counts ? h("strong", {}, `${one.state}, counts`) : one.state, score(one.score), interval(one), moment(one.began),
+  return table("Attempts", ["attempt", "state", "score", "began", "ended", "why", "replay"], rows.map((one) => [
+    `${one.attempt}`, one.counts ? h("strong", {}, `${one.state}, counts`) : one.state, score(one.score), moment(one.began),
     moment(one.ended), one.why, replays && one.replay
       ? h("a", { href: `#/replay/${encodeURIComponent(name)}/${one.attempt}` }, `Replay of attempt ${one.attempt}`) : ""]), true);
 }

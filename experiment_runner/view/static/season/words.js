@@ -1,7 +1,8 @@
 // Words and numbers that the views of a season share.
 
-import { drawing } from "../curves.js";
-import { count, date, h, score } from "../dom.js";
+import { count, drawing, h, score } from "../dom.js";
+
+const TIME = { year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", timeZoneName: "short" };
 
 /** Return the link to an entrant; `you` is the name of the one who looks on. */
 export const entrantLink = (name, you) =>
@@ -11,7 +12,7 @@ export const entrantLink = (name, you) =>
 export const interval = ({ low, high }) => (low === null || low === undefined ? "-" : `${score(low)} to ${score(high)}`);
 
 /** Return an element with a time of the server, as in 2026-11-27T06:00:00Z, in the local time zone. */
-export const moment = (time) => (time ? h("time", { datetime: time }, date(Date.parse(time) / 1000)) : "");
+export const moment = (time) => (time ? h("time", { datetime: time }, new Date(time).toLocaleString("sv", TIME)) : "");
 
 /** Return the numbers of an entrant's attempts, as in "5 verified, 2 forfeited, 1 ours". */
 export const counts = (numbers) =>

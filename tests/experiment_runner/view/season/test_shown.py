@@ -28,6 +28,7 @@ from experiment_runner.view.season.feed import feed_of
 from experiment_runner.view.season.shown import board_as_json, entrant_as_json, rules_of
 
 SEASON = Season(datetime(2026, 11, 1, tzinfo=UTC), datetime(2026, 12, 1, tzinfo=UTC))
+NOW = datetime(2026, 11, 3, 12, tzinfo=UTC)
 TIMES = ("2026-11-01T09:00:00Z", "2026-11-02T09:00:00Z", "2026-11-03T09:00:00Z")
 
 FIRST = EntrantRow(
@@ -73,7 +74,7 @@ BOARD = SeasonBoard(
 
 def shown(board: SeasonBoard, viewer: str = PUBLIC) -> dict[str, Any]:
     """Return the board as the page's script reads it."""
-    found: dict[str, Any] = json.loads(as_json(board_as_json(board, SeasonState(SEASON), [], viewer)))
+    found: dict[str, Any] = json.loads(as_json(board_as_json(board, SeasonState(SEASON), [], viewer, NOW)))
     return found
 
 

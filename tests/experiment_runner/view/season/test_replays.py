@@ -14,8 +14,8 @@ from experiment_runner.competition.records.replay import made_for
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from experiment_runner.view import replays
-from experiment_runner.view.replays import Replays, replayed
+from experiment_runner.view.season import replays
+from experiment_runner.view.season.replays import Replays, replayed
 from glue.errors import ExperimentError
 from glue.trajectory import ActionWriter, Ending
 from glue.types import Action, body_size, step_of
@@ -67,20 +67,20 @@ def observations(content: bytes) -> tuple[dict[str, object], list[bytes]]:
 def test_an_episode_is_shown_as_it_was_played(tmp_path: Path) -> None:
     seen = record(tmp_path / "0.traj")
     for episode, bodies in enumerate(seen, 1):
-        about, found = observations(replayed(SPEC, tmp_path / "0.traj", episode))
+        about, found = observations(replayed("a record", SPEC, tmp_path / "0.traj", episode))
         assert found == bodies
-        assert about["recording"] == "alice/mines/0"
+        assert about["recording"] == "a record"
         assert about["steps"] == len(bodies) - 1
     with pytest.raises(HTTPException, match="no episode 4"):
-        replayed(SPEC, tmp_path / "0.traj", 4)
+        replayed("a record", SPEC, tmp_path / "0.traj", 4)
 
 
 def test_a_long_way_to_an_episode_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record(tmp_path / "0.traj")
     monkeypatch.setattr(replays, "_MOST_STEPS", 6)
-    replayed(SPEC, tmp_path / "0.traj", 1)
+    replayed("a record", SPEC, tmp_path / "0.traj", 1)
     with pytest.raises(ExperimentError, match="at most 6 steps"):
-        replayed(SPEC, tmp_path / "0.traj", 3)
+        replayed("a record", SPEC, tmp_path / "0.traj", 3)
 
 
 def test_only_so_many_wait_for_a_replay_and_the_others_are_told_when_to_come_again() -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
-from datetime import datetime
+from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.records.record import record_path
-from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
+from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards, SeasonBoard
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import TrialSpec
@@ -29,8 +30,16 @@ from glue.files import create_regular, read_regular
 
 _MOST_ANSWERS: Final = 512
 _MOST_TOKEN: Final = 1024
+_REST: Final = 5
+"""Multiple of its computing time for which a board is kept: with very many attempts it takes seconds."""
+
 _SECONDS: Final = 60
 """A board may change with time alone, as when the season opens; it is computed again at least this often."""
+
+
+def utc_now() -> datetime:
+    """Return the time."""
+    return datetime.now(UTC)
 
 
 class View(NamedTuple):
@@ -41,8 +50,16 @@ class View(NamedTuple):
     course: Course
 
 
-class Boards:
-    """The boards of a season. It belongs to one thread.
+class _Season(NamedTuple):
+    """A season as it was read."""
+
+    boards: Boards
+    state: SeasonState
+    course: Course
+
+
+class Views:
+    """What each viewer of a season may see. May be called from any thread.
 
     Args:
         directory: of the season.
@@ -52,8 +69,8 @@ class Boards:
     def __init__(self, directory: Path, clock: Callable[[], datetime]) -> None:
         self.directory = directory
         self._clock = clock
-        self._views = Cache()
-        self._answers = Cache(_MOST_ANSWERS)
+        self._lock = threading.Lock()
+        self._cache = Cache(_MOST_ANSWERS, _REST)
 
     def view(self, viewer: str) -> View:
         """Return what a viewer may see.
@@ -61,16 +78,20 @@ class Boards:
         Raises:
             ExperimentError: the season cannot be read.
         """
-        found: View = self._views.get(viewer, self._signs(), lambda: self._read(viewer))
-        return found
+        with self._lock:
+            return self._view(viewer)
+
+    def _view(self, viewer: str) -> View:
+        season: _Season = self._cache.get("season", self._signs(), self._read)
+        return View(season.boards.seen_by(viewer), season.state, season.course)
 
     def board(self, viewer: str) -> bytes:
         """Return the board as JSON."""
 
         def compute() -> bytes:
-            board, state, course = self.view(viewer)
+            board, state, course = self._view(viewer)
             rules = rules_of(course.competition, state.season)
-            return as_json(board_as_json(board, state, rules, viewer)).encode()
+            return as_json(board_as_json(board, state, rules, viewer, self._clock())).encode()
 
         return self._answer("board", viewer, compute)
 
@@ -83,12 +104,12 @@ class Boards:
         return self._answer(
             f"entrant {shown}",
             viewer,
-            lambda: as_json(entrant_as_json(self.view(viewer).board, shown)).encode(),
+            lambda: as_json(entrant_as_json(self._view(viewer).board, shown)).encode(),
         )
 
     def feed(self, viewer: str) -> bytes:
         """Return what happens in the season as an Atom feed."""
-        return self._answer("feed", viewer, lambda: feed_of(self.view(viewer).board))
+        return self._answer("feed", viewer, lambda: feed_of(self._view(viewer).board))
 
     def viewers(self) -> dict[str, str]:
         """Return who may see more than others, by the digest of their token: an entrant, or `ORGANISER`.
@@ -129,7 +150,8 @@ class Boards:
         trials = self.view(viewer).course.competition.trials
         for found in self._trials(viewer, shown, attempt):
             if found.parts[1:] == (task, (attempt - 1) * trials + trial):
-                return replayed(self._spec(found), record_path(self.directory, found), episode)
+                name = f"{shown}, attempt {attempt}: {task}, trial {trial}"
+                return replayed(name, self._spec(found), record_path(self.directory, found), episode)
         raise KeyError(task)
 
     def _trials(self, viewer: str, shown: str, attempt: int) -> list[TrialId]:
@@ -153,14 +175,16 @@ class Boards:
             return next(one.spec for one in results.trials() if one.spec.id == trial)
 
     def _answer(self, what: str, viewer: str, compute: Callable[[], bytes]) -> bytes:
-        found: bytes = self._answers.get((what, viewer), self._signs(), compute)
-        return found
+        with self._lock:
+            found: bytes = self._cache.get((what, viewer), self._signs(), compute)
+            return found
 
-    def _read(self, viewer: str) -> View:
+    def _read(self) -> _Season:
+        course = course_of(self.directory)
         with Results.open(self.directory) as results:
-            course = course_of(self.directory)
-            board = season_board(results, course, self._clock(), viewer)
-        return View(board, SeasonState.of(course), course)
+            boards = Boards(course, results.outcomes(), results.verdicts(), self._clock())
+        boards.seen_by(PUBLIC)  # counts as part of the time that it takes
+        return _Season(boards, SeasonState.of(course), course)
 
     def _signs(self) -> object:
         names = (*DATABASE_FILES[:2], JOURNAL_FILE)
