@@ -41,6 +41,9 @@ from glue.wire.messages import MAX_BODY, Event, Role
 
 MODULE: Final = "experiment_runner.competition.match"
 
+NOT_CONNECTED: Final = "it did not connect within"
+"""Begin of the reason if an entrant never joins."""
+
 _LOOK_SECONDS: Final = 0.2
 """Maximum delay in noticing the end of an entrant's program."""
 
@@ -259,7 +262,7 @@ class _Playing:
             if running.wait(_LOOK_SECONDS):
                 why = f"its program {running.reason}"
             elif not self._joined.is_set() and self._clock() - began > limit:
-                why = f"it did not connect within {limit:g} s"
+                why = f"{NOT_CONNECTED} {limit:g} s"
             else:
                 continue
             if not self._over.is_set():

@@ -92,14 +92,14 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
             store = stack.enter_context(Store.create(directory, specs, files))
         with reported(f"cannot write to {directory}"):
             directory.chmod(_FOR_ITS_OWNER)
+        seal(store)
+        check_seal(store)
         recorded = [record.spec for record in store.trials()]
         known = {spec.id: spec for spec in recorded}
         new = [spec for spec in specs if spec.id not in known]
         if {spec.id: spec for spec in specs if spec.id in known} != known or any(map(course.planned, new)):
             why = _difference(recorded, specs)
             raise ExperimentError(f"{directory} is the run of another competition: {why}")
-        seal(store)
-        check_seal(store)
         if new:
             add_trials(store, new)
         if changes := course.changes(competition):

@@ -78,7 +78,7 @@ class Act:
         token: SHA-256, in hexadecimal, of the token with which its owner sees more of the page.
         number: of the attempt, from 1; of a grant, the number of attempts.
         instead: of a rerun of an attempt: number of the attempt that no longer counts.
-        value: of a change: the setting's new value, as JSON.
+        value: of a change, the setting's new value, as JSON; of a start, the number of the slot.
     """
 
     time: str

@@ -26,14 +26,15 @@ from typing import Any, Final
 
 from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.course import IMAGE_ID, Course, course_of, entrant_of
-from experiment_runner.competition.match import Match
+from experiment_runner.competition.match import NOT_CONNECTED, Match
 from experiment_runner.competition.organiser import Matches, Say, log_path
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act, act
 from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
 from experiment_runner.competition.season import control, schedule
 from experiment_runner.competition.season.acts import acts_for
-from experiment_runner.competition.season.board import SeasonBoard, season_board
+from experiment_runner.competition.season.board import PUBLIC as ANYBODY
+from experiment_runner.competition.season.board import Boards
 from experiment_runner.competition.season.control import Door, Reply, Request, TryLater
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.season.worker import Replay, Verified
@@ -100,8 +101,8 @@ class _Slot:
         specs: of its trials, by id, in their order.
         left: ids of the trials that are not over, in their order.
         unverified: ids of the trials that are over, and not verified yet.
-        absent: whether its program has yet to ask again, after a restart of this server.
-        until: by when.
+        resumed: whether its first trial is played again after a restart of this server, which its program may
+            not have survived.
         forfeit: why it is forfeited; empty if it is not.
         playing: whether the first of `left` is played.
     """
@@ -112,8 +113,7 @@ class _Slot:
     specs: Mapping[str, TrialSpec]
     left: deque[str]
     unverified: set[str]
-    absent: bool
-    until: float
+    resumed: bool
     forfeit: str = ""
     playing: bool = False
 
@@ -192,12 +192,18 @@ class Server(Matches):
         self._verified: dict[str, ReplayVerdict] = {}
         self._seen: dict[str, float] = {}
         """When each entrant's program asked last."""
+        self._queued: dict[str, float] = {}
+        """When the last attempt of each entrant was queued by this server."""
         self._rests: dict[str, tuple[float, float]] = {}
         """When each entrant whose attempt failed here may play again, and how long it rests."""
+        self._slots_rest: dict[int, float] = {}
+        """When each slot in which an attempt failed may be used again: its port may be taken."""
         self._began = clock()
         self._looked = self._began - _LOOK_SECONDS
         self._started = now()
-        self._board: tuple[int, dict[str, SeasonBoard]] = 0, {}
+        self._boards: Boards | None = None
+        self._boards_of = 0  # the number of acts in it
+        self._boards_until = 0.0  # when they may be computed again
 
     def serve(self, door: Door, executor: Executor, interrupts: Interrupts) -> None:
         """Serve until the season is closed and what was played is over.
@@ -232,7 +238,7 @@ class Server(Matches):
             for one in playing:
                 start = starts[one.entrant, one.number]
                 specs = attempt_trials(self._levels, self._competition.trials, start)
-                self._take_slot(one, specs, outcomes, verdicts, resumed=True)
+                self._take_slot(one, int(start.value), specs, outcomes, verdicts, resumed=True)
 
     def turn(self, seconds: float = 0.0) -> bool:
         """Start what can start, and store what is reported within `seconds`; return whether anything runs."""
@@ -326,9 +332,14 @@ class Server(Matches):
 
     def _attempt(self, name: str, number: int) -> Reply:
         entrant = self._state.entrant(name)
+        if not self._present(name):
+            self._looked -= _LOOK_SECONDS
         self._seen[name] = self._clock()
         if number:
-            return self._shown(entrant, self._state.attempt(name, number))
+            one = self._state.attempt(name, number)
+            while one.state == "ours" and one.number + 1 in entrant.attempts:
+                one = entrant.attempts[one.number + 1]  # which plays in its place
+            return self._shown(entrant, one)
         under_way = entrant.playing or next(iter(entrant.waiting), None)
         if under_way is None:
             now = self._now()
@@ -359,9 +370,12 @@ class Server(Matches):
             if slot.entrant.key is not None and self._gate is not None:
                 reply["hub"] = gate_of(self._gate, slot.number).bind
             return {"state": "playing", **reply}
-        now, board = self._now(), self._board_for(name)
-        row = next(row for row in board.entrants if row.mine)
-        played = next(other for other in row.attempts if other.number == one.number)
+        now, board = self._now(), self._newest_boards().seen_by(name)
+        row = next((row for row in board.entrants if row.mine), None)
+        attempts = () if row is None else row.attempts
+        played = next((other for other in attempts if other.number == one.number), None)
+        if row is None or played is None or played.state in ("waiting", "playing"):  # the boards are older
+            return {"state": "verifying", **reply}
         returns = schedule.returns_at(self._state, now)
         return {
             "state": "over",
@@ -376,14 +390,16 @@ class Server(Matches):
             "why": one.why,
         }
 
-    def _board_for(self, viewer: str) -> SeasonBoard:
-        """Return the board for an entrant, made anew after each act."""
-        acts, boards = self._board
-        if acts != len(self._acts):
-            self._board = len(self._acts), (boards := {})
-        if viewer not in boards:
-            boards[viewer] = season_board(self._store, self._course, self._now(), viewer)
-        return boards[viewer]
+    def _newest_boards(self) -> Boards:
+        """Return the boards after the last act, or somewhat older ones: they may take a fifth of the time."""
+        clock = self._clock()
+        if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
+            self._boards_of = len(self._acts)
+            outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
+            self._boards = Boards(self._course, outcomes, verdicts, self._now())
+            self._boards.seen_by(ANYBODY)
+            self._boards_until = self._clock() + 4 * (self._clock() - clock)
+        return self._boards
 
     def _withdraw(self, name: str, number: int) -> Reply:
         one, now = self._state.attempt(name, number), self._now()
@@ -447,6 +463,8 @@ class Server(Matches):
             self._state.apply(one)
             if one.act == journal.ENROL:
                 self._keys[one.subject] = one.id
+            elif one.act == journal.REQUEST:
+                self._queued[one.subject] = self._clock()
             self._say(_line(one))
         for slot in list(self._slots.values()):
             if self._state.attempt(slot.entrant.name, slot.attempt.number).state != "playing":
@@ -463,16 +481,12 @@ class Server(Matches):
         for trial_id in [trial_id for trial_id, until in self._until.items() if clock > until]:
             if (slot := self._slots.get(TrialId(trial_id).parts[0])) is not None:
                 self._fail(slot, f"{trial_id} has taken far too long")
-        for slot in list(self._slots.values()):
-            if slot.absent and clock > slot.until:
-                self._fail(slot, "the server was restarted, and its program did not come back")
         for one in state.attempts("waiting"):
-            absent = (
-                self._must_ask(one) and clock - self._seen.get(one.entrant, self._began) > _ABSENT_SECONDS
-            )
-            if absent:
+            name = one.entrant
+            asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
+            if self._must_ask(one) and clock - asked > _ABSENT_SECONDS:
                 why = "its program has stopped asking for it"
-                self._record(act(journal.CANCEL, one.entrant, why, now=time, number=one.number))
+                self._record(act(journal.CANCEL, name, why, now=time, number=one.number))
         if state.closed is None and state.season.opens <= time < state.season.closes:
             for name in self._named.keys() & state.entrants.keys():
                 entrant = state.entrants[name]
@@ -505,7 +519,10 @@ class Server(Matches):
         return replace(named, id=found.id)
 
     def _begin(self, one: Attempt) -> None:
-        """Let an attempt play."""
+        """Let an attempt play, if there is a slot for it."""
+        slot = self._free_slot()
+        if slot is None:
+            return
         plays = self._state.entrants[one.entrant].act
         start = act(
             journal.START,
@@ -515,15 +532,24 @@ class Server(Matches):
             number=one.number,
             player=plays.player,
             id=plays.id,
+            value=str(slot),
         )
         self._record(start)
         specs = attempt_trials(self._levels, self._competition.trials, start)
         add_trials(self._store, specs)
-        self._take_slot(one, specs, {}, {}, resumed=False)
+        self._take_slot(one, slot, specs, {}, {}, resumed=False)
+
+    def _free_slot(self) -> int | None:
+        """Return a slot that is free, and does not rest since an attempt failed there; None without one."""
+        taken = {slot.number for slot in self._slots.values()}
+        slots, now = range(self._state.season.parallel), self._clock()
+        rested = (slot for slot in slots if now >= self._slots_rest.get(slot, now))
+        return next((slot for slot in rested if slot not in taken), None)
 
     def _take_slot(
         self,
         one: Attempt,
+        number: int,
         specs: Sequence[TrialSpec],
         outcomes: Mapping[str, TrialEnd],
         verdicts: Mapping[str, ReplayVerdict],
@@ -532,8 +558,6 @@ class Server(Matches):
     ) -> None:
         """Let an attempt have a slot, with trials some of which may have been played already."""
         entrant = self._player(self._state.entrants[one.entrant])
-        taken = {slot.number for slot in self._slots.values()}
-        number = next(number for number in itertools.count() if number not in taken)
         ids = [str(spec.id) for spec in specs]
         slot = _Slot(
             one,
@@ -542,8 +566,7 @@ class Server(Matches):
             dict(zip(ids, specs, strict=True)),
             deque(trial_id for trial_id in ids if trial_id not in outcomes),
             {trial_id for trial_id in ids if trial_id in outcomes and trial_id not in verdicts},
-            resumed and entrant.key is not None,
-            self._clock() + _ABSENT_SECONDS,
+            resumed,
         )
         self._slots[one.entrant] = slot
         for trial_id in ids:
@@ -555,10 +578,9 @@ class Server(Matches):
     def _go_on(self, slot: _Slot) -> None:
         """Play the next trial of an attempt, or end the attempt when there is none."""
         assert self._dispatcher is not None
-        slot.absent = slot.absent and not self._present(slot.entrant.name)
         if not slot.left and not slot.unverified:
             self._end(slot)
-        elif slot.left and not slot.playing and not slot.absent:
+        elif slot.left and not slot.playing:
             slot.playing = True
             self._play(slot, slot.left[0])
 
@@ -607,11 +629,11 @@ class Server(Matches):
             kind, more = journal.REQUEST, {}
         why = f"instead of attempt {slot.attempt.number}"
         again = act(kind, name, why, now=now, number=len(attempts) + 1, **more)
-        self._seen[name] = self._clock()
         least, most = _REST_SECONDS
         _, rest = self._rests.get(name, (0.0, least / 2))
         rest = min(2 * rest, most)
         self._rests[name] = self._clock() + rest, rest
+        self._slots_rest[slot.number] = self._clock() + least
         self._record(ours, *([] if self._state.closed else [again]))
 
     def _leave(self, slot: _Slot) -> None:
@@ -660,8 +682,12 @@ class Server(Matches):
                 self._fail(slot, f"{trial_id} could not be verified: {verdict.problem}")
             else:
                 self._go_on(slot)
+        elif slot.resumed and NOT_CONNECTED in self._forfeits.get(trial_id, ""):
+            super().end(trial_id, "the server was restarted, and its program did not come back")
+            self._fail(slot, "the server was restarted, and its program did not come back")
         else:
             outcome = self._finish(trial_id)
+            slot.resumed = False
             self._note_forfeit(slot, trial_id, outcome)
             slot.left.popleft()
             slot.playing = False

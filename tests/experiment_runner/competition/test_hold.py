@@ -422,7 +422,7 @@ def test_acts_of_the_organiser_are_sealed_and_shown_and_delete_nothing(run: Path
     assert "played again: crash/mines/0" in act("rerun", "run", "crash/mines/0")
     assert "1 of 7 trials are not over" in compete(folder, "verify", "run").stderr
     unchanged = compete(folder, "add", "run", "spring.toml", "--reason", "late")
-    assert "has no entrant that run does not have" in unchanged.stderr
+    assert "has no entrant that does not take part already" in unchanged.stderr
     with (folder / "spring.toml").open("a") as file:
         file.write(ENTRANT.format(name="late", kind="walk"))
     without = compete(folder, "run", "spring.toml", "--out", "run")

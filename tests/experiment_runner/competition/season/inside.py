@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from experiment_runner.competition.course import Course, course_of
-from experiment_runner.competition.match import Match, play
+from experiment_runner.competition.match import NOT_CONNECTED, Forfeited, Match, play
 from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.verify import judge
 from experiment_runner.competition.season.control import Attempt, Enrol, Organise, Reply, Request
@@ -84,6 +84,8 @@ class Executor:
                 self.jobs[job.spec.id] = job
             elif isinstance(agent, str):
                 reports = [Ended(agent)]
+            elif agent is Absent:
+                reports = [Forfeited(f"{NOT_CONNECTED} 30 s"), Ended(None)]
             else:  # the key is checked where there are sockets
                 play(replace(job, entrant=replace(job.entrant, key=None)), reports.append, InThread(agent))
         self._reports += [(job.spec.id, report) for report in reports]
@@ -103,6 +105,10 @@ class Executor:
 
     def __exit__(self, *_: object) -> None:
         pass
+
+
+class Absent(Walker):
+    """Does not connect."""
 
 
 class Raising(Walker):
@@ -167,12 +173,12 @@ class Season:
             self.server.turn()
 
     def later(self, seconds: float, *asking: str) -> None:
-        """Let time go by, in which some go on asking."""
+        """Let time go by, in which some go on asking for their last attempts."""
         until = self.seconds + seconds
         while self.seconds < until:
             self.seconds += 5
             for name in asking:
-                self.ask(Attempt(name))
+                self.ask(Attempt(name, max(self.states(name))))
             self.turns(3)
 
     def days(self, count: float) -> None:
