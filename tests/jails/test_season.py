@@ -44,7 +44,8 @@ def test_an_upload_takes_over_no_name_and_keeps_its_id(
         tags = engine.images.get(hostile_id).tags
         assert tags == [f"glue-season/test:{hostile_id.rpartition(':')[2][:12]}"]
     finally:
-        engine.images.remove(hostile_id, force=True)
+        engine.images.get(hostile_id).tag(*hostile.split(":"))
+        engine.images.remove(f"glue-season/test:{hostile_id.rpartition(':')[2][:12]}")
 
 
 def test_an_upload_that_would_be_too_large_never_reaches_the_engine(
