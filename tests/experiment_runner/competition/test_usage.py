@@ -42,9 +42,11 @@ def test_version_1_has_a_tree_for_each_resource(tmp_path: Path) -> None:
 def test_the_last_that_was_known_outlives_the_container(tmp_path: Path) -> None:
     folder = second(tmp_path)
     group = ControlGroup(ID, tmp_path)
-    group.remember()
+    (folder / "cpu.stat").write_text("usage_usec 3500000\n")
+    group.read()
     shutil.rmtree(folder)
-    assert (group.processor, group.peak) == (2.5, 1048576)
+    group.read()
+    assert (group.processor, group.peak) == (3.5, 1048576)
 
 
 def test_where_there_are_none_nothing_is_known(tmp_path: Path) -> None:
