@@ -196,6 +196,8 @@ class Server(Matches):
         """When the last attempt of each entrant was queued by this server."""
         self._rests: dict[str, tuple[float, float]] = {}
         """When each entrant whose attempt failed here may play again, and how long it rests."""
+        self._slots_rest: dict[int, float] = {}
+        """When each slot in which an attempt failed may be used again: its port may be taken."""
         self._began = clock()
         self._looked = self._began - _LOOK_SECONDS
         self._started = now()
@@ -517,7 +519,10 @@ class Server(Matches):
         return replace(named, id=found.id)
 
     def _begin(self, one: Attempt) -> None:
-        """Let an attempt play."""
+        """Let an attempt play, if there is a slot for it."""
+        slot = self._free_slot()
+        if slot is None:
+            return
         plays = self._state.entrants[one.entrant].act
         start = act(
             journal.START,
@@ -527,16 +532,19 @@ class Server(Matches):
             number=one.number,
             player=plays.player,
             id=plays.id,
-            value=str(self._free_slot()),
+            value=str(slot),
         )
         self._record(start)
         specs = attempt_trials(self._levels, self._competition.trials, start)
         add_trials(self._store, specs)
-        self._take_slot(one, int(start.value), specs, {}, {}, resumed=False)
+        self._take_slot(one, slot, specs, {}, {}, resumed=False)
 
-    def _free_slot(self) -> int:
+    def _free_slot(self) -> int | None:
+        """Return a slot that is free, and does not rest since an attempt failed there; None without one."""
         taken = {slot.number for slot in self._slots.values()}
-        return next(number for number in itertools.count() if number not in taken)
+        slots, now = range(self._state.season.parallel), self._clock()
+        rested = (slot for slot in slots if now >= self._slots_rest.get(slot, now))
+        return next((slot for slot in rested if slot not in taken), None)
 
     def _take_slot(
         self,
@@ -625,6 +633,7 @@ class Server(Matches):
         _, rest = self._rests.get(name, (0.0, least / 2))
         rest = min(2 * rest, most)
         self._rests[name] = self._clock() + rest, rest
+        self._slots_rest[slot.number] = self._clock() + least
         self._record(ours, *([] if self._state.closed else [again]))
 
     def _leave(self, slot: _Slot) -> None:
