@@ -39,15 +39,15 @@ DoubleArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 PREFIX_SIZE: Final = 16
+BESIDE_AT: Final = 12
 NOTHING_BESIDE: Final = bytes(4)
-"""Bytes 12 to 15 of a body without mask and extras."""
+"""Bytes of a body without mask and extras, from the offset `BESIDE_AT` on."""
 
 MAX_MASK_BITS: Final = 8 * (2**16 - 1)
 """Maximum number of values of all ints of an action together that a mask can tell of."""
 
 _PREFIX: Final = struct.Struct("<4I")
 _BESIDE: Final = struct.Struct("<2H")
-_BESIDE_AT: Final = 12
 _FEW_BITS: Final = 256
 """Maximum number of bits of a mask whose packed and unpacked forms are cached."""
 
@@ -84,13 +84,7 @@ class AbstractType:
         doubles: Sequence[float] | npt.NDArray[np.floating] = (),
         chars: bytes = b"",
     ) -> None:
-        if not isinstance(chars, bytes):
-            raise LocalProtocolError(f"chars must be bytes, not {chars!r:.80}")
-        try:
-            prefix = _PREFIX.pack(len(ints), len(doubles), len(chars), 0)
-        except TypeError:
-            raise LocalProtocolError(_not_rows(ints, doubles)) from None
-        self._body = b"".join((prefix, _pack_doubles(doubles), _pack_ints(ints), chars))
+        self._body = _packed(ints, doubles, chars, b"", b"")
         self._ints = None
         self._doubles = None
 
@@ -200,16 +194,17 @@ class Observation(AbstractType):
         mask: Sequence[bool] | npt.NDArray[np.bool_ | np.integer] | None = None,
         extras: Mapping[str, GivenExtra] | None = None,
     ) -> None:
-        AbstractType.__init__(self, ints, doubles, chars)
-        if mask is not None or extras:
-            bits = b"" if mask is None else _pack_mask(mask)
-            self._body = _beside(self._body, bits, pack_extras(extras) if extras else b"")
+        bits = b"" if mask is None else _pack_mask(mask)
+        named = pack_extras(extras) if extras else b""
+        self._body = _packed(ints, doubles, chars, bits, named)
+        self._ints = None
+        self._doubles = None
 
     @property
     def packed_mask(self) -> bytes:
         """The mask as it crosses the wire, M bytes; empty if every action is legal."""
         body = self._body
-        mask, extras = _BESIDE.unpack_from(body, _BESIDE_AT)
+        mask, extras = _BESIDE.unpack_from(body, BESIDE_AT)
         end = len(body) - extras
         return body[end - mask : end]
 
@@ -253,6 +248,23 @@ class Action(AbstractType):
     __slots__ = ()
 
 
+def _packed(
+    ints: Sequence[int] | npt.NDArray[np.integer],
+    doubles: Sequence[float] | npt.NDArray[np.floating],
+    chars: bytes,
+    mask: bytes,
+    extras: bytes,
+) -> bytes:
+    """Return the body of these."""
+    if not isinstance(chars, bytes):
+        raise LocalProtocolError(f"chars must be bytes, not {chars!r:.80}")
+    try:
+        prefix = _PREFIX.pack(len(ints), len(doubles), len(chars), len(mask) | len(extras) << 16)
+    except TypeError:
+        raise LocalProtocolError(_not_rows(ints, doubles)) from None
+    return b"".join((prefix, _pack_doubles(doubles), _pack_ints(ints), chars, mask, extras))
+
+
 def body_size(buffer: bytes | bytearray, offset: int = 0) -> int:
     """Return the size in bytes of the abstract type that starts at `offset`, according to its counts.
 
@@ -269,13 +281,13 @@ def body_size(buffer: bytes | bytearray, offset: int = 0) -> int:
 
 def beside_sizes(body: bytes) -> tuple[int, int]:
     """Return the sizes in bytes of the mask and of the extras of a body."""
-    mask, extras = _BESIDE.unpack_from(body, _BESIDE_AT)
+    mask, extras = _BESIDE.unpack_from(body, BESIDE_AT)
     return mask, extras
 
 
 def has_beside(body: bytes, offset: int = 0) -> bool:
     """Return whether the body that starts at `offset` has a mask or extras."""
-    return not body.startswith(NOTHING_BESIDE, offset + _BESIDE_AT)
+    return not body.startswith(NOTHING_BESIDE, offset + BESIDE_AT)
 
 
 def without_beside(body: bytes, *, mask: bool, extras: bool) -> bytes:
@@ -284,14 +296,9 @@ def without_beside(body: bytes, *, mask: bool, extras: bool) -> bytes:
     if not (mask and masked) and not (extras and extra):
         return body
     end = len(body) - extra
-    kept = body[end - masked : end] if not mask else b""
-    return _beside(body[: end - masked], kept, body[end:] if not extras else b"")
-
-
-def _beside(body: bytes, mask: bytes, extras: bytes) -> bytes:
-    """Return a body without mask and extras with these."""
-    sizes = _BESIDE.pack(len(mask), len(extras))
-    return b"".join((body[:_BESIDE_AT], sizes, body[PREFIX_SIZE:], mask, extras))
+    sizes = _BESIDE.pack(0 if mask else masked, 0 if extras else extra)
+    numbers = body[PREFIX_SIZE : end - masked if mask else end]
+    return b"".join((body[:BESIDE_AT], sizes, numbers, body[end:] if not extras else b""))
 
 
 def _pack_mask(mask: Sequence[bool] | npt.NDArray[np.bool_ | np.integer]) -> bytes:

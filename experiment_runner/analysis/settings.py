@@ -13,6 +13,7 @@ import numpy as np
 from experiment_runner.analysis.curves import StepTotals, per_step, step_returns
 from experiment_runner.analysis.stats import FloatArray, mean_of_last
 from experiment_runner.plan.ids import REMOTE
+from experiment_runner.plan.limits import PACE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.extras import extras_of
 from experiment_runner.store.readings import NO_METRIC, Metric
@@ -179,7 +180,8 @@ def _fields(role: RoleSpec | None) -> dict[str, object]:
 
 def _limits(spec: TrialSpec) -> dict[str, object]:
     limits: dict[str, object] = {"episodes": spec.episodes, "max_steps": spec.max_steps}
-    return limits | ({"steps": spec.steps} if spec.steps else {})
+    limits |= {"steps": spec.steps} if spec.steps else {}
+    return limits | ({name: getattr(spec.pace, name) for name in PACE} if spec.pace else {})
 
 
 def _names(described: Sequence[tuple[str, Mapping[str, object]]]) -> list[str]:

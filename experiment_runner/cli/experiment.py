@@ -14,7 +14,14 @@ from experiment_runner.cli.options import backend_options, check_backend
 from experiment_runner.plan.limits import CHECKPOINT_EVERY, COUNTS, PLAYERS, Backend
 from experiment_runner.view.launch import check_view
 from glue import __version__
-from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, keys_option, legacy_port_option
+from glue.cli.shared import (
+    HUB_KEY_SETTINGS,
+    KEY_SETTINGS,
+    WAIT_VARIABLE,
+    keys_option,
+    legacy_port_option,
+    pace_options,
+)
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.plugins.naming import NamingCommand, complete_names
@@ -34,6 +41,7 @@ _GROUPS: Final = {
         "--dry-run",
         "--trust",
     ),
+    "An environment that does not wait": ("--rate", "--late", "--delay"),
     "A cluster": ("--engine", "--address", "--sbatch"),
     "Players from outside": ("--bind", "--legacy-port", "--keys", "--insecure"),
     "A running hub": ("--hub", "--session", "--key", "--hub-key", "--wait"),
@@ -144,6 +152,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     metavar="FILE",
     help="Plan in TOML; the five numbers above override it.",
 )
+@pace_options
 @click.option("--in-process", is_flag=True, help="Players as objects, without a hub: fastest.")
 @click.option(
     "--inside",

@@ -20,7 +20,7 @@ from experiment_runner.executors.settings import HubOptions
 from experiment_runner.plan.extras import Summary, parse_extras
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.ids import REMOTE
-from experiment_runner.plan.limits import BUDGETS, COUNTS, PLAYERS, Backend
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE, PLAYERS, Backend
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, absolute, budget, check_options, class_files
 from experiment_runner.plan.toml import naming_lines, read
@@ -49,7 +49,8 @@ def planned(options: SimpleNamespace) -> tuple[Plan, Path | None]:
             "their options into the plan, below [agents.NAME] or [environments.NAME], instead of giving "
             "--agent-option and --env-option"
         )
-    counts = {name: value for name in COUNTS if (value := getattr(options, name)) is not None}
+    given = {name: getattr(options, name) for name in (*COUNTS, *PACE)}
+    counts = {name: value for name, value in given.items() if value is not None}
     if options.metrics_every is not None:
         counts["metrics"] = MetricsPlan(options.metrics_every)
     if options.metric:

@@ -147,7 +147,7 @@ class Course:
 
 def _rules(competition: Competition) -> object:
     """Return the rules that are not part of the trials."""
-    tasks = [(task.name, task.episodes, task.steps) for task in competition.tasks]
+    tasks = [(task.name, task.episodes, task.steps, task.pace) for task in competition.tasks]
     return competition.limits, competition.trials, tasks
 
 

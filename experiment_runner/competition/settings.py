@@ -13,6 +13,7 @@ from msgspec import Meta
 from experiment_runner.plan.toml import SettingError, converted, is_option, naming_lines, parse, read, shown
 from glue.errors import ConfigError, ExperimentError
 from glue.hub.config import TimeLimits
+from glue.pace import REPEAT, Pace
 from glue.plugins.loading import located
 
 _MEBIBYTE: Final = 2**20
@@ -61,6 +62,8 @@ class Task:
         max_steps: the step limit of an episode, see `Experiment.rl_episode`; 0 for none. RL_num_steps is 1
             before the first step, so the least limit is 2.
         levels: files of the levels of its trials, the first again after the last; none if a seed is drawn.
+        rate: steps per second of an environment that does not wait for its agent; 0 if it does.
+        late: what is carried out while the agent is late, see `glue.pace.Pace`.
     """
 
     name: str
@@ -70,6 +73,13 @@ class Task:
     steps: _Count = 0
     max_steps: Annotated[int, Meta(ge=2, lt=2**31)] = 0
     levels: tuple[Path, ...] = ()
+    rate: float = 0.0
+    late: str = REPEAT
+
+    @property
+    def pace(self) -> Pace:
+        """The pace of its environment."""
+        return Pace(self.rate, self.late)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +218,10 @@ def _tables(document: Mapping[str, Any], kind: str) -> list[tuple[str, Any]]:
 def _task(name: str, table: object, folder: Path) -> Task:
     where = ("tasks", name)
     task = converted(Task, table, f"task {name}", *where, base=folder, name=name)
+    try:
+        task.pace  # noqa: B018  # checks both
+    except ConfigError as error:
+        raise SettingError(f"task {name}: {error}", *where, *error.settings[:1]) from None
     if (task.episodes == 0) == (task.steps == 0):
         raise SettingError(f"task {name} needs its length: episodes = 20, or steps = 100_000", *where)
     for option, value in task.options.items():

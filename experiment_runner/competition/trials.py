@@ -103,6 +103,7 @@ def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
                     episodes=task.episodes or task.steps,  # an episode has at least one step
                     max_steps=task.max_steps,
                     seed=seed,
+                    pace=task.pace,
                 )
                 for entrant in competition.entrants
             ]
@@ -116,9 +117,8 @@ def public_trial(task: Task, entrant: str, episodes: int, max_steps: int) -> Tri
         ConfigError: as `trials`.
     """
     environment = _environment(task, None)
-    return TrialSpec(
-        TrialId.of(entrant, task.name, 0), RoleSpec(entrant), environment, episodes, max_steps, 0
-    )
+    trial, agent = TrialId.of(entrant, task.name, 0), RoleSpec(entrant)
+    return TrialSpec(trial, agent, environment, episodes, max_steps, 0, pace=task.pace)
 
 
 def agent_seed(spec: TrialSpec) -> int:

@@ -320,7 +320,8 @@ class _Trial:
         result, checkpoint, lost, every = played.result, None, False, self._config.checkpoint_every
         self._steps += result.steps
         last = self._spec.finished_by(result.episode, self._steps)
-        due = every > 0 and result.episode % every == 0
+        # What depends on a clock is not the same when it is repeated.
+        due = every > 0 and (result.episode % every == 0 or self._spec.pace.rate > 0)
         if not self._can_save:
             if due:
                 why = f"no checkpoints: {self._unsaved}; should the run be interrupted, it starts over"

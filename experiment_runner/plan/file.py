@@ -24,6 +24,9 @@ role connects from outside.
 
 In place of `episodes`, `steps = 100000` gives each trial a budget of steps, which cuts off its last episode.
 
+With `rate = 24`, in steps per second, no environment waits for its agent: `late = "repeat"` or
+`late = "0,1"` says what is carried out while it is late. `delay = 2` carries actions out so many steps later.
+
 `metrics_every` and a table `metrics` record the agents' own numbers: see `experiment_runner.plan.metrics`. A
 table `extras` records those of the environments: see `experiment_runner.plan.extras`.
 
@@ -41,7 +44,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from experiment_runner.plan.extras import parse_extras
-from experiment_runner.plan.limits import BUDGETS, COUNTS
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE
 from experiment_runner.plan.metrics import parse_metrics
 from experiment_runner.plan.plan import ROLES, Plan, RoleSweep, Seeds, plain
 from experiment_runner.plan.toml import SettingError, converted, naming_lines, parse, read, shown
@@ -83,6 +86,8 @@ def dump_plan(plan: Plan) -> str:
     """Return the plan as TOML, from which `parse_plan` returns an equal plan."""
     counts = {name: getattr(plan, name) for name in COUNTS}
     lines = [f"{name} = {count}" for name, count in counts.items() if count or name not in BUDGETS]
+    if plan.pace:
+        lines += [f"{name} = {_toml_value(getattr(plan, name))}" for name in PACE]
     lines.append(f"seeds = {_toml_value(plan.seeds)}")
     if plan.inside:
         lines.append(f"inside = [{', '.join(map(_toml_value, plan.inside))}]")

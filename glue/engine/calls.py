@@ -23,6 +23,7 @@ from glue.roles import (
     BatchEnvironment,
     Environment,
     MetricAgent,
+    PacedAgent,
     SaveableAgent,
     SaveableEnvironment,
     SeedableAgent,
@@ -124,6 +125,8 @@ def agent_calls(agent: Agent) -> dict[Kind, Handler]:
         calls[Kind.AGENT_LOAD] = _loader(agent.agent_load)
     if offers(agent, MetricAgent):
         calls[Kind.AGENT_METRICS] = _metrics(agent, agent.agent_metrics)
+    if offers(agent, PacedAgent):
+        calls[Kind.AGENT_STEP] = _told(agent.agent_pace, step)
     return calls
 
 
@@ -201,8 +204,15 @@ def unsupported(kind: Kind, role: Role, name: str) -> str:
     return f"{role} {name} does not support this: it has no {kind.name.lower()}"
 
 
-def unfit_for_batch(environment: Container[str], agent: Container[str], name: str) -> str:
-    """Return why an agent cannot act in an environment, given the capabilities of both; "" if it can."""
+def unfit_for_batch(
+    environment: Container[str], agent: Container[str], name: str, paced: bool = False
+) -> str:
+    """Return why an agent cannot act in an environment, given the capabilities of both; "" if it can.
+
+    `paced` says whether the environment has a pace: the rewards of many games could not be added up.
+    """
+    if "batch" in environment and paced:
+        return "an environment of many games at once (capability `batch`) has no rate and no delay"
     if "batch" in environment and "batch" not in agent:
         return (
             f"agent {name} does not support this: it has no agent_batch, and the environment is many games "
@@ -222,6 +232,15 @@ def _seeder(method: Callable[[int], None]) -> Handler:
         return _DONE
 
     return seed
+
+
+def _told(method: Callable[[float, float], None], step: Handler) -> Handler:
+    def paced_step(scalars: tuple[Any, ...], observation: Any) -> Answer:
+        if len(scalars) > 1:
+            method(*scalars[1:])
+        return step(scalars, observation)
+
+    return paced_step
 
 
 def _saver(player: object, name: str, method: Callable[[], bytes]) -> Handler:
@@ -262,6 +281,11 @@ def _text(player: object, method: str, value: object) -> str:
     return value
 
 
+_MAX_REMEMBERED: Final = 1024
+_LIGHT: Final = 32
+"""Maximum number, and size in bytes, of masks that are remembered as right."""
+
+
 class _Beside:
     """Checks what an environment's observations carry beside their numbers."""
 
@@ -271,28 +295,41 @@ class _Beside:
         if offers(environment, BatchEnvironment):
             self._offered = frozenset()  # the observations of many games have no place for them
         self._sizes: tuple[int, ...] | None = None
+        self._right: set[bytes] = set()  # masks that fit the task spec
+        self._parsed = True
 
     def init(self, task_spec: str, stated: bool) -> bool:
         """Take the task spec; return whether observations have to be checked if their counts are right."""
         self._sizes = None
+        self._right.clear()
+        self._parsed = stated
         if MASK in self._offered:
             with suppress(TaskSpecError):
                 spec = parse_task_spec(task_spec)
+                self._parsed = True
                 self._sizes = mask_sizes(spec.actions) if spec.masks else None
         return bool(self._offered) or not stated
 
     def check(self, method: str, observation: Observation) -> None:
         """Raise PeerFailed if an observation that `method` returned has what it must not have."""
-        unoffered = beside_without(observation._body, self._offered)
         packed = observation.packed_mask
+        unoffered = beside_without(observation._body, self._offered)
+        if packed in self._right and not unoffered:
+            return
         if unoffered:
             why = f"with {unoffered}, and does not offer this capability (no batch can)"
+        elif packed and not self._parsed:
+            why = ""  # nothing is known of the actions
         elif packed and self._sizes is None:
             why = "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
         else:
             why = mask_fault(packed, self._sizes or ())
         if why:
             raise PeerFailed(f"{method} of {self._name} returned an observation {why}")
+        if len(self._right) == _MAX_REMEMBERED:
+            self._right.clear()
+        if len(packed) <= _LIGHT:
+            self._right.add(packed)
 
 
 _COUNTS: Final = struct.Struct("<3I")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Container
 
 from glue.types import beside_sizes, without_beside
 from glue.wire.messages import EXTRAS, MASK, Message
 
 
-def beside_without(body: bytes, capabilities: Set[str]) -> str:
+def beside_without(body: bytes, capabilities: Container[str]) -> str:
     """Return what the sender of an observation has sent without the capability for it; "" if nothing."""
     mask, extras = beside_sizes(body)
     if not mask or MASK in capabilities:
@@ -16,12 +16,12 @@ def beside_without(body: bytes, capabilities: Set[str]) -> str:
     return MASK
 
 
-def readable(body: bytes, capabilities: Set[str]) -> bytes:
+def readable(body: bytes, capabilities: Container[str]) -> bytes:
     """Return the body of an observation without what a peer with these capabilities does not read."""
     return without_beside(body, mask=MASK not in capabilities, extras=EXTRAS not in capabilities)
 
 
-def readable_by_agent(body: bytes, capabilities: Set[str]) -> bytes:
+def readable_by_agent(body: bytes, capabilities: Container[str]) -> bytes:
     """Return the body of an observation as an agent with these capabilities sees it: never with extras."""
     return without_beside(body, mask=MASK not in capabilities, extras=True)
 

@@ -308,6 +308,15 @@ def metrics(kit: PlayerHarness) -> None:
         kit.steps(SHOWN)
 
 
+@RULES.add(Tier.COMPLETE, "an-environment-that-does-not-wait", roles=(Role.AGENT,), capability="pace")
+def pace(kit: PlayerHarness) -> None:
+    """A step's reward may be followed by a deadline and a latency, or not."""
+    kit.episode()
+    shown = SHOWN if kit.mirror else Observation([0])
+    for scalars in ((0.0, 0.04, 0.01), (0.0,), (0.0, 0.0, 3600.0)):
+        kit.ask("STEP", *scalars, body=shown.body)
+
+
 @RULES.add(
     Tier.COMPLETE,
     "capabilities",

@@ -28,7 +28,7 @@ CALLS: Final = {
     "environment": "INIT START STEP CLEANUP MESSAGE SEED SAVE LOAD",
 }
 OFFERS: Final = {
-    "agent": ["seed", "save", "batch", "metrics"],
+    "agent": ["seed", "save", "batch", "metrics", "pace"],
     "environment": ["seed", "save", "truncate"],
     "experiment": ["outcome"],
 }
@@ -241,7 +241,7 @@ class Client(ScriptedPeer):
             ints, doubles, chars = self.runs(body)
             added, replied = [float(sum(ints))], []
             if self.role == "agent":
-                added.append(float(scalars[0] if scalars else 0.0))
+                added += map(float, scalars or [0.0])
             else:
                 replied = [doubles[0] if doubles else 0.0, self.terminal(chars[-1:])]
             if not ints and not doubles and not chars:
