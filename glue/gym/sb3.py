@@ -195,15 +195,19 @@ class SB3Agent(Agent):
                 f"there is no policy {self._path}: policy should name a file that model.save wrote",
                 settings=("policy",),
             )
+        algorithm = _algorithm(self._algorithm)
         try:
-            return self._library().load(self._path, device="cpu")
+            return algorithm.load(self._path, device="cpu")
         except Exception as error:
             raise ConfigError(f"{self._path} is not a policy of {self._algorithm}: {error}") from error
 
-    def _library(self) -> Any:
-        """Return the class of the algorithm."""
-        if self._algorithm != _MASKED:
-            return getattr(stable_baselines3, self._algorithm)
-        import sb3_contrib
 
-        return sb3_contrib.MaskablePPO
+def _algorithm(name: str) -> Any:
+    """Return the class of an algorithm."""
+    if name != _MASKED:
+        return getattr(stable_baselines3, name)
+    try:
+        import sb3_contrib
+    except ImportError:
+        raise ConfigError("MaskablePPO needs sb3-contrib: pip install 'glue-rl[sb3]'") from None
+    return sb3_contrib.MaskablePPO
