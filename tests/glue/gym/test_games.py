@@ -51,7 +51,7 @@ def returns(agent: Agent, name: str, episodes: int, seed: int = 1, **options: An
         experiment.rl_init(seed)
         found = []
         for _ in range(episodes):
-            assert experiment.rl_episode(2000)
+            assert experiment.rl_episode(2000) != (name == "rps_v2")  # which cuts off after 15 rounds
             found.append(experiment.rl_return())
     return found
 
