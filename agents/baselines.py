@@ -28,9 +28,7 @@ class RandomAgent(Agent):
     ) -> None:
         self._own_seed = seed
         self._space = Space(stated=False)
-        self._sizes: tuple[
-            int, ...
-        ] = ()  # of each int of an action, in a task with masks
+        self._sizes: tuple[int, ...] = ()  # of each int of an action, in a task with masks
         self._lows: list[int] = []
         self._draws = Draws(self._space, np.random.default_rng(seed or 0))
 
