@@ -323,7 +323,8 @@ class _Beside:
         elif packed and self._sizes is None:
             why = "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
         else:
-            why = mask_fault(packed, self._sizes or ())
+            fault = mask_fault(packed, self._sizes or ())
+            why = fault and f"whose mask does not fit the task spec: {fault}"
         if why:
             raise PeerFailed(f"{method} of {self._name} returned an observation {why}")
         if len(self._right) == _MAX_REMEMBERED:

@@ -83,10 +83,10 @@ def mask_fault(packed: bytes, sizes: tuple[int, ...]) -> str:
 def _mask_fault(packed: bytes, sizes: tuple[int, ...]) -> str:
     bits = sum(sizes)
     values = int.from_bytes(packed, "little")
-    if len(packed) != (bits + 7) // 8 or values.bit_length() > bits:
-        return (
-            f"{bits} values of {len(sizes)} ints have a mask of {(bits + 7) // 8} bytes, its spare bits zero"
-        )
+    size = (bits + 7) // 8
+    if len(packed) != size or values.bit_length() > bits:
+        right = f"{size} byte{'s' * (size != 1)} of mask, the spare bits zero"
+        return f"{bits} values fill {right}, not 0x{packed[:16].hex()}"
     for number, count in enumerate(sizes):
         if not values & ((1 << count) - 1):
             return f"no value of int {number} is legal"

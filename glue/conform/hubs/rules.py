@@ -9,9 +9,21 @@ from glue.conform.forms import SPOILED, SPOILED_BODIES
 from glue.conform.hubs.scripted import TASK_SPEC, Scene, ScriptedPeer, did, number, reward, saw
 from glue.conform.messages import described
 from glue.conform.rules import Broken, Rules, Tier
-from glue.types import Action
+from glue.types import Action, Observation
 from glue.wire.codec import TO_HUB, encode
-from glue.wire.messages import OUTCOME, PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import (
+    BESIDE,
+    EXTRAS,
+    MASK,
+    OUTCOME,
+    PROTOCOL_VERSION,
+    THREE_ROLES,
+    ErrorCode,
+    Event,
+    Kind,
+    Message,
+    Role,
+)
 
 RULES: Final = Rules()
 
@@ -515,3 +527,72 @@ def _unknown(session: str) -> bytes:
     """Return a header of kind 63, which does not exist, and number 5: the array [63, session, 5]."""
     name = session.encode()
     return bytes([0x93, 63, 0xD9, len(name), *name, 5])
+
+
+@RULES.add(Tier.COMPLETE, "beside-the-observation")
+def beside(scene: Scene) -> None:
+    """A mask reaches peers that offer mask, extras those that offer extras, and never an agent."""
+    # An environment that sends both, an agent that reads masks, then one that reads none.
+    if not _carries_both(scene):
+        return
+    scene.agent = scene.peer(Role.AGENT, MASK)
+    confirmed = scene.agent.join().scalars[5:]
+    scene.agent.check(confirmed == ((MASK,),), f"{confirmed!r} was confirmed to an agent that offers mask")
+    scene.experiment.join()
+    scene.experiment.ask(Kind.RL_INIT, None)
+    scene.initialised()
+    _play_beside(scene, masked=Observation([7], mask=[True, False, True]).body)
+    scene.agent.leave()
+    scene.experiment.expects_notice(Event.LOST, Role.AGENT)
+    scene.agent = scene.peer(Role.AGENT)
+    confirmed = scene.agent.join().scalars[5:]
+    scene.agent.check(not confirmed, f"{confirmed!r} was confirmed to an agent that offers nothing")
+    scene.experiment.ask(Kind.RL_INIT, None)
+    scene.initialised()
+    _play_beside(scene, masked=Observation([7]).body)
+
+
+@RULES.add(Tier.COMPLETE, "beside-the-observation")
+def unoffered(scene: Scene) -> None:
+    """An environment that sends extras or a mask without offering them has failed."""
+    # Extras from an environment that offers masks.
+    scene.environment = scene.peer(Role.ENVIRONMENT, MASK)
+    if not scene.environment.join().scalars[5:]:
+        return  # an older hub
+    scene.agent.join()
+    scene.experiment.join()
+    scene.experiment.ask(Kind.RL_INIT, None)
+    scene.initialised()
+    scene.experiment.ask(Kind.RL_ENV_START)
+    call = scene.environment.expects_call(Kind.ENV_START)
+    scene.environment.send(Kind.ENV_START, seq=call, body=Observation([7], extras={"a": 1}).body)
+    scene.experiment.expects_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
+    scene.environment.expects_error(ErrorCode.UNSUPPORTED, call)
+
+
+def _carries_both(scene: Scene) -> bool:
+    """Let an environment join that offers all; return whether the hub carries it."""
+    scene.environment = scene.peer(Role.ENVIRONMENT, MASK, EXTRAS)
+    scene.experiment = scene.peer(Role.EXPERIMENT, MASK, EXTRAS)
+    confirmed = scene.environment.join().scalars[5:]
+    known = not confirmed or (isinstance(confirmed[0], tuple) and {*confirmed[0]} == BESIDE)
+    scene.environment.check(known, f"{confirmed!r} was confirmed to one that offers mask and extras")
+    return bool(confirmed)
+
+
+def _play_beside(scene: Scene, masked: bytes) -> None:
+    """Play a start, a step and half steps; the agent sees `masked` of observations with a mask and extras."""
+    full = Observation([7], mask=[True, False, True], extras={"coins": 3, "x": 0.5}).body
+    agent, environment, experiment = scene.agent, scene.environment, scene.experiment
+    experiment.ask(Kind.RL_START)
+    environment.answers(Kind.ENV_START, gives=full)
+    agent.answers(Kind.AGENT_START, body=masked, gives=did(0))
+    experiment.expects_reply(Kind.RL_START, body=full + did(0))
+    experiment.ask(Kind.RL_STEP)
+    environment.answers(Kind.ENV_STEP, body=did(0), reply=(reward(1), False), gives=full)
+    agent.answers(Kind.AGENT_STEP, reward(1), body=masked, gives=did(1))
+    experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=full + did(1))
+    scene.relay(Kind.RL_ENV_STEP, body=did(2), reply=(reward(2), False), gives=full)
+    experiment.ask(Kind.RL_AGENT_STEP, reward(2), body=full)
+    agent.answers(Kind.AGENT_STEP, reward(2), body=masked, gives=did(3))
+    experiment.expects_reply(Kind.RL_AGENT_STEP, body=did(3))

@@ -21,8 +21,9 @@ from glue.hub.session import Peer
 from glue.hub.sessions import Sessions
 from glue.pace import Pace
 from glue.testing import ContractBroken, HubRule, check_hub
-from glue.types import Action
-from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
+from glue.types import Action, has_beside
+from glue.wire.beside import readable
+from glue.wire.messages import CALLS, EXTRAS, MASK, ErrorCode, Event, Kind, Message, Role, Value
 
 WAIT = 60.0
 """Seconds to wait; generous, as machines are busy. Only hubs that say nothing use them up."""
@@ -75,6 +76,38 @@ class Spoiled(Sessions):
         return [(channel, message)]
 
     def heard(self, channel: Channel, message: Message) -> list[Message]:
+        return [message]
+
+
+class ShowsTheAgentExtras(Spoiled):
+    """Gives the agent the environment's last observation, without its mask."""
+
+    kept = frozenset({EXTRAS})
+
+    def heard(self, channel: Channel, message: Message) -> list[Message]:
+        if message.kind is Kind.ENV_STEP:
+            self.seen["last"] = message.body
+        return [message]
+
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+        if message.kind is Kind.AGENT_STEP and has_beside(self.seen.get("last", bytes(16))):
+            message = message._replace(body=readable(self.seen["last"], self.kept))
+        return [(channel, message)]
+
+
+class ShowsEveryAgentMasks(ShowsTheAgentExtras):
+    """Gives the agent the environment's last observation, without its extras."""
+
+    kept = frozenset({MASK})
+
+
+class LeavesOutWhatWasNotOffered(Spoiled):
+    """Passes on the observations of an environment as if it had sent only what it has offered."""
+
+    def heard(self, channel: Channel, message: Message) -> list[Message]:
+        offered = self.capabilities(message.session, Role.ENVIRONMENT)
+        if message.kind is Kind.ENV_START and offered is not None:
+            message = message._replace(body=readable(message.body, offered))
         return [message]
 
 
@@ -275,6 +308,17 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
     "counts a hello for an answer": (HubRule.WELCOME_LOST, CountsAHelloForAnAnswer),
     "sends off with an error": (HubRule.GOODBYE, saying(instead(Kind.ERROR, "full", ""), Kind.GOODBYE)),
     "does not say peer-lost": (HubRule.LOST, without(ErrorCode.PEER_LOST)),
+    "shows the agent extras": (HubRule.BESIDE, ShowsTheAgentExtras),
+    "shows every agent masks": (HubRule.BESIDE, ShowsEveryAgentMasks),
+    "keeps extras to itself": (
+        HubRule.BESIDE,
+        saying(lambda m, seen: m._replace(body=readable(m.body, {MASK})), Kind.RL_ENV_STEP),
+    ),
+    "confirms what was not offered": (
+        HubRule.BESIDE,
+        saying(lambda m, seen: scalars(5, (EXTRAS, MASK))(m, seen) if m.scalars[5:] else m, Kind.WELCOME),
+    ),
+    "leaves out what was not offered": (HubRule.UNOFFERED, LeavesOutWhatWasNotOffered),
     "initialises no newcomer": (HubRule.REPLACED, saying(start_of_a_newcomer, Kind.NOTICE, Kind.ENV_INIT)),
 }
 
