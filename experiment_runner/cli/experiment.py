@@ -36,6 +36,7 @@ _GROUPS: Final = {
         "--record",
         "--ask",
         "--metrics-every",
+        "--metric",
         "--view",
         "--dry-run",
         "--trust",
@@ -259,6 +260,13 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     help="Record the agent's own numbers every N steps, 0 for after each episode.",
 )
 @click.option(
+    "--metric",
+    multiple=True,
+    metavar="EXTRA=HOW",
+    help="Record a number that the environment attaches to its steps, such as mario.coins=last: an episode's "
+    "first, last, sum, mean, min or max; repeat it for several.",
+)
+@click.option(
     "--view",
     is_flag=True,
     help="Show the run on a page in the browser, which stays until Ctrl-C; see glue-view.",
@@ -307,6 +315,7 @@ def experiment(**settings: Any) -> int:
             options.address,
             questions=tuple(dict.fromkeys(options.ask)),
             metrics=plan.metrics,
+            extras=plan.extras,
         )
         check_backend(config)
         check_players(config, plan)

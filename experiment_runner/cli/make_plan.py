@@ -17,6 +17,7 @@ from click.core import ParameterSource
 
 from experiment_runner.executors.opening import recorded_plan
 from experiment_runner.executors.settings import HubOptions
+from experiment_runner.plan.extras import Summary, parse_extras
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.ids import REMOTE
 from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE, PLAYERS, Backend
@@ -52,6 +53,8 @@ def planned(options: SimpleNamespace) -> tuple[Plan, Path | None]:
     counts = {name: value for name, value in given.items() if value is not None}
     if options.metrics_every is not None:
         counts["metrics"] = MetricsPlan(options.metrics_every)
+    if options.metric:
+        counts["extras"] = _extras(options.metric)
     roles = {
         "environments": role_sweeps(Role.ENVIRONMENT, options.environment, options.env_option),
         "agents": role_sweeps(Role.AGENT, options.agent, options.agent_option),
@@ -121,6 +124,17 @@ def hub_options(options: SimpleNamespace) -> HubOptions:
 def _from_variable(option: str) -> bool:
     """Return whether an option was set by an environment variable."""
     return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
+
+
+def _extras(metrics: Iterable[str]) -> dict[str, Summary]:
+    pairs = [metric.rpartition("=") for metric in metrics]
+    for name, _, how in pairs:
+        if not name:
+            raise ConfigError(f"a metric is an extra and what is recorded of it, as in coins=last, not {how}")
+    try:
+        return parse_extras({name: how for name, _, how in pairs})
+    except ExperimentError as error:
+        raise ConfigError(str(error)) from None
 
 
 def role_sweeps(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:

@@ -20,6 +20,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
+from experiment_runner.plan.extras import Summary
 from experiment_runner.plan.ids import REMOTE, TrialId, label_of
 from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE
 from experiment_runner.plan.metrics import MetricsPlan
@@ -141,6 +142,11 @@ class TrialSpec:
         environment = joined.get((self.id, "environment")) if self.environment is None else None
         return self.id.naming(agent, environment)
 
+    @property
+    def environment_label(self) -> str:
+        """The environment's label; `REMOTE` if it joins from outside."""
+        return self.environment.label if self.environment else REMOTE
+
     def step_limit(self, steps: int) -> int:
         """Return the step limit of the next episode, 0 for none.
 
@@ -167,6 +173,7 @@ class Plan:
         seeds: the part of a trial from which its seed is derived.
         inside: players that are objects in the process of a trial, of `PLAYERS`; does not affect results.
         metrics: the agents' metrics to record; None for none.
+        extras: the environments' extras to record, and as what; see `experiment_runner.plan.extras`.
         tune: the search for the agents' options; None for none.
         rate, late, delay: the pace of every environment, see `glue.pace.Pace`.
 
@@ -185,6 +192,7 @@ class Plan:
     inside: tuple[Literal["agent", "env"], ...] = ()
     steps: Annotated[int, _in("steps")] = 0
     metrics: MetricsPlan | None = None
+    extras: Mapping[str, Summary] = field(default_factory=dict)
     tune: TunePlan | None = None
     rate: float = 0.0
     late: str = REPEAT
@@ -331,6 +339,8 @@ def differences(ours: Plan, theirs: Plan) -> list[str]:
     if ours.metrics != theirs.metrics:
         was, become = (plan.metrics or "not recorded" for plan in (ours, theirs))
         found.append(f"metrics are {become}; they were {was}")
+    if ours.extras != theirs.extras:
+        found.append(f"extras are {dict(theirs.extras)}, not {dict(ours.extras)}")
     for role in ROLES:
         our_sweeps, their_sweeps = ({s.label: s for s in getattr(plan, role)} for plan in (ours, theirs))
         found += [f"{role} lack {label}" for label in our_sweeps if label not in their_sweeps]
