@@ -255,9 +255,7 @@ def test_a_program_without_keys_plays_through_a_relay(tmp_path: Path) -> None:
         target = Target(hub.endpoints[0], "alice", OwnKey(secret, alice, hub_pair.public))
         local = f"ipc://{tmp_path}/hub"
         with Relay(local, target), connect_over(transport, "alice") as glue:
-            player = threading.Thread(
-                target=serve_agent, args=(RandomAgent(), local, "alice"), daemon=True
-            )
+            player = threading.Thread(target=serve_agent, args=(RandomAgent(), local, "alice"), daemon=True)
             player.start()
             glue.wait_for_players(lambda missing: None)
             glue.rl_init(1)
