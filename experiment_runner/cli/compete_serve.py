@@ -119,7 +119,7 @@ def serve(
     competition = load_competition(file)
     secret = read_secret(competition, os.environ, log)
     code = None if competition.season is None else read_code(competition.season, os.environ, log)
-    gate = None if keys is None else Gate(bind, keys)
+    gate = None if keys is None else Gate(bind, keys.absolute())
 
     def kept() -> None:
         log("nothing is lost: start the same command again")
