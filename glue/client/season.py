@@ -46,11 +46,8 @@ _POLL_SECONDS: Final = 1.0
 _LONGEST_POLL: Final = 10.0
 """Seconds between two questions of a program far back in the queue; it counts as gone after 15."""
 
-_LONGEST_WAIT: Final = 60.0
-"""Longest time that the page is believed when it asks to wait, in seconds."""
-
 _PATIENCE_SECONDS: Final = 600.0
-"""Time for which a page that does not answer is asked again during an attempt: it may be restarted."""
+"""Time for which a page that cannot answer now is asked again: it may be restarted."""
 
 _EVERYWHERE: Final = re.compile(r"(?<=//)(0\.0\.0\.0|\[::\]|\*)(?=:)")
 """The host of a hub that listens on every address of its machine."""
@@ -293,11 +290,11 @@ class Season:
             try:
                 reply = self.ask("attempt", {"attempt": number})
             except SeasonBusy as error:
-                if waited > _PATIENCE_SECONDS:
+                seconds = max(error.seconds, _POLL_SECONDS)
+                if waited + seconds > _PATIENCE_SECONDS:  # as when no attempt is left today
                     raise
                 if not waited:
                     say(f"{error}; asking again")
-                seconds = min(max(error.seconds, _POLL_SECONDS), _LONGEST_WAIT)
                 self._sleep(seconds)
                 waited += seconds
                 continue
