@@ -80,7 +80,7 @@ _WHY: Final = click.option(
     type=click.Choice([Backend.LOCAL.value, Backend.RAY.value]),
     default=Backend.LOCAL.value,
     show_default=True,
-    help="Where attempts are played and verified: on this machine, or on a Ray cluster.",
+    help="Where attempts of images and commands are played: on this machine, or on a Ray cluster.",
 )
 @click.option("--address", metavar="HOST:PORT", help="Ray cluster; by default the one that Ray finds.")
 def serve(
@@ -101,7 +101,8 @@ def serve(
     It ends when `close` closes the season. Whatever stops it before, the same command goes on where it was.
     """
     from experiment_runner.competition.organiser import open_competition
-    from experiment_runner.competition.season.service import check_gate, executor_of
+    from experiment_runner.competition.season.executors import executor_of
+    from experiment_runner.competition.season.service import check_gate
     from experiment_runner.competition.season.service import serve as hold
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_code, read_secret
@@ -119,7 +120,7 @@ def serve(
     competition = load_competition(file)
     secret = read_secret(competition, os.environ, log)
     code = None if competition.season is None else read_code(competition.season, os.environ, log)
-    gate = None if keys is None else Gate(bind, keys)
+    gate = None if keys is None else Gate(bind, keys.absolute())
 
     def kept() -> None:
         log("nothing is lost: start the same command again")

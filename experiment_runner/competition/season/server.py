@@ -87,6 +87,7 @@ _MOST_SHOWN: Final = 200
 """Maximum number of waiting attempts in a status."""
 
 _COLOURS: Final = ("amber", "azure", "coral", "crimson", "emerald", "golden", "indigo", "ivory", "jade")
+_ALIASES: Final = 1_000_000
 _ANIMALS: Final = ("badger", "crane", "falcon", "fox", "heron", "ibis", "lynx", "otter", "owl", "raven")
 
 
@@ -175,15 +176,16 @@ class Server(Matches):
         self._course = Course(course.competition, self._acts)
         self._state = SeasonState.of(course)
         self._named = {entrant.name: entrant for entrant in competition.entrants}
-        self._keys = {
-            one.subject: one.id
-            for one in course.acts
-            if one.act == journal.ENROL
-            or (one.act in (journal.ENTER, journal.ADD) and self._named[one.subject].key is not None)
-        }
+        self._keys: dict[str, str] = {}
         """The public key of each entrant that has one."""
+        self._taken: set[tuple[str, str]] = set()
+        """The names, in small letters, the keys and the pseudonyms that no other entrant can have."""
+        for one in course.acts:
+            if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
+                self._admit(one)
         self._steps = {task.name: task.steps for task in competition.proving}
-        self._run = name_of_run(store.directory)
+        self._directory = store.directory.absolute()
+        self._run = name_of_run(self._directory)
         self._dispatcher: Dispatcher | None = None
         self._slots: dict[str, _Slot] = {}
         self._until: dict[str, float] = {}
@@ -278,8 +280,6 @@ class Server(Matches):
             if one.act == journal.ADD:
                 found = load_competition(Path(wanted.file)).entrants
                 self._named |= {entrant.name: entrant for entrant in found if entrant.name == one.subject}
-                if self._named[one.subject].key is not None:
-                    self._keys[one.subject] = one.id
         self._record(*acts)
         return {"acts": [line_of(one) for one in acts]}
 
@@ -311,21 +311,22 @@ class Server(Matches):
         return {"hub_key": hub_key, "token": token, "alias": self._state.entrants[name].act.alias}
 
     def _check_new(self, name: str, key: str) -> None:
-        entrants = self._state.entrants
-        if name.casefold() in map(str.casefold, entrants):
+        if ("name", name.casefold()) in self._taken:
             raise ExperimentError(f"the name {name} is taken: choose another")
-        if key in self._keys.values():
+        if ("key", key) in self._taken:
             raise ExperimentError("the owner of this key takes part already, under another name")
-        if len(entrants) >= self._state.season.most_entrants:
-            raise ExperimentError(f"{len(entrants)} take part, and there is no room for more")
+        if len(self._state.entrants) >= self._state.season.most_entrants:
+            raise ExperimentError(
+                f"{len(self._state.entrants)} take part, and there is no room for more: ask the organiser"
+            )
 
     def _alias(self, name: str) -> str:
         """Return a pseudonym that says nothing of the name, and that nobody has."""
-        taken = {one.act.alias for one in self._state.entrants.values()}
-        words = self._draw("alias", name)
-        alias = f"{_COLOURS[words[0] % len(_COLOURS)]} {_ANIMALS[words[1] % len(_ANIMALS)]}"
-        numbered = (f"{alias} {number}" for number in itertools.count(2))
-        return alias if alias not in taken else next(one for one in numbered if one not in taken)
+        drawn = int.from_bytes(self._draw("alias", name))
+        alias = f"{_COLOURS[drawn % len(_COLOURS)]} {_ANIMALS[drawn // len(_COLOURS) % len(_ANIMALS)]}"
+        rest = drawn // (len(_COLOURS) * len(_ANIMALS))
+        numbered = (f"{alias} {(rest + number) % _ALIASES}" for number in itertools.count())
+        return next(one for one in itertools.chain([alias], numbered) if ("alias", one) not in self._taken)
 
     def _draw(self, *names: str) -> bytes:
         return hmac.digest(self._secret, "\0".join(names).encode(), hashlib.sha256)
@@ -455,14 +456,21 @@ class Server(Matches):
 
     # What is played
 
+    def _admit(self, one: Act) -> None:
+        """Note who takes part."""
+        named = self._named.get(one.subject)
+        if named is None or named.key is not None:
+            self._keys[one.subject] = one.id
+        self._taken |= {("name", one.subject.casefold()), ("key", one.id), ("alias", one.alias)}
+
     def _record(self, *acts: Act) -> None:
         """Write acts to the journal, and carry them out."""
         record_acts(self._store, acts)
         for one in acts:
             self._acts.append(one)
             self._state.apply(one)
-            if one.act == journal.ENROL:
-                self._keys[one.subject] = one.id
+            if one.act in (journal.ADD, journal.ENROL):
+                self._admit(one)
             elif one.act == journal.REQUEST:
                 self._queued[one.subject] = self._clock()
             self._say(_line(one))
@@ -588,7 +596,7 @@ class Server(Matches):
         assert self._dispatcher is not None
         spec, limits = slot.specs[trial_id], self._competition.limits
         gate = None if self._gate is None else gate_of(self._gate, slot.number)
-        steps, log = self._steps[spec.id.parts[1]], log_path(self._store.directory, trial_id)
+        steps, log = self._steps[spec.id.parts[1]], log_path(self._directory, trial_id)
         self.matches[trial_id] = Match(spec, slot.entrant, limits, steps, log, self._run, gate)
         self._until[trial_id] = (
             self._clock() + 2 * limits.start_seconds + limits.total_seconds + _SLACK_SECONDS
@@ -599,7 +607,7 @@ class Server(Matches):
         assert self._dispatcher is not None
         spec = slot.specs[trial_id]
         steps = self._steps[spec.id.parts[1]]
-        self._replays[trial_id] = Replay(self._store.directory.absolute(), spec, outcome, steps)
+        self._replays[trial_id] = Replay(self._directory, spec, outcome, steps)
         self._until[trial_id] = self._clock() + self._competition.limits.total_seconds + _SLACK_SECONDS
         self._dispatcher.add(trial_id)
 

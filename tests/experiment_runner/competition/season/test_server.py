@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from experiment_runner.cli.compete_serve import organise
 from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.seal import broken
 from experiment_runner.competition.records.verify import verify
@@ -413,3 +414,13 @@ def test_an_address_has_a_port_for_each_slot() -> None:
     for bind in ("tcp://127.0.0.1:*", "tcp://127.0.0.1:65535"):
         with pytest.raises(ConfigError, match="is no address for 2 attempts at once"):
             gate_of(Gate(bind, keys), 1)
+
+
+def test_an_organiser_acts_on_a_season_that_nobody_serves(season: Season) -> None:
+    season.enrol("alice")
+    season.stack.close()
+    organise(season.directory, "grant", subject="alice", number=2, why="a mail of May")
+    with pytest.raises(ExperimentError, match="there is no entrant bob"):
+        organise(season.directory, "exclude", subject="bob", why="a mail of May")
+    season.start()
+    assert season.state.entrants["alice"].granted == 2
