@@ -28,7 +28,8 @@ class RandomAgent(Agent):
     ) -> None:
         self._own_seed = seed
         self._space = Space(stated=False)
-        self._sizes: tuple[int, ...] = ()  # of masks
+        self._sizes: tuple[int, ...] = ()  # of each int of an action, in a task with masks
+        self._lows: list[int] = []
         self._draws = Draws(self._space, np.random.default_rng(seed or 0))
 
     def agent_seed(self, seed: int) -> None:
@@ -44,6 +45,7 @@ class RandomAgent(Agent):
             )
         self._space = actions
         self._sizes = mask_sizes(actions) if spec.masks else ()
+        self._lows = [int(range_.ends[0]) for range_ in actions.ints] if spec.masks else []
         self._draws = Draws(actions, self._draws.settle())
 
     def agent_start(self, observation: Observation) -> Action:
@@ -65,9 +67,11 @@ class RandomAgent(Agent):
         if not observation.packed_mask:
             return Action._wrap(self._draws.draw())  # drawn within the bounds: no check is needed
         generator = self._draws.settle()
-        ints, doubles, chars = self._space.sample(generator)
-        for i, legal in enumerate(legal_values(observation, self._sizes)):
-            ints[i] = self._space.ints[i].ends[0] + generator.choice(np.flatnonzero(legal))
+        doubles, chars = self._space.sample(generator)[1:] if any(self._space.counts[1:]) else ((), b"")
+        ints = []
+        for low, legal in zip(self._lows, legal_values(observation, self._sizes), strict=True):
+            choices = np.flatnonzero(legal)
+            ints.append(low + int(choices[generator.integers(len(choices))]))
         return Action(ints, doubles, chars)
 
 

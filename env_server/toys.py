@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Annotated, Final
 
 import numpy as np
@@ -115,7 +116,7 @@ class MinesEnvironment(Environment):
     def env_start(self) -> Observation:
         start = self._fields.index("S")
         self._field = int(self._generator.choice(self._free)) if self._random_start else start
-        return self._shown(self._field)
+        return _shown(self._field, self.env_masks)
 
     def env_step(self, action: Action) -> Step:
         if self._field is None:
@@ -126,7 +127,7 @@ class MinesEnvironment(Environment):
             self._field += down * self._columns + right
         what = self._fields[self._field]
         reward = {"G": _GOAL_REWARD, "*": _MINE_REWARD}.get(what, _STEP_REWARD)
-        return Step(reward, self._shown(self._field), what in "G*")
+        return Step(reward, _shown(self._field, self.env_masks), what in "G*")
 
     def env_cleanup(self) -> None:
         self._field = None
@@ -142,8 +143,10 @@ class MinesEnvironment(Environment):
     def env_load(self, data: bytes) -> None:
         self._generator = unpack_generator(data, "mines")
 
-    def _shown(self, field: int) -> Observation:
-        return Observation(ints=(field,), mask=_OPEN[field] if self.env_masks else None)
+
+@cache
+def _shown(field: int, masks: bool) -> Observation:
+    return Observation(ints=(field,), mask=_OPEN[field] if masks else None)
 
 
 def _one_int(action: Action, high: int) -> int:

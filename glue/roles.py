@@ -152,6 +152,22 @@ class MetricAgent(Protocol):
         ...
 
 
+class PacedAgent(Protocol):
+    """Capability `pace`: the agent is told how much time it has, where the environment does not wait for it.
+
+    See `glue.pace`.
+    """
+
+    def agent_pace(self, deadline: float, latency: float) -> None:
+        """Note the time for the answer to the agent_step that follows, of an environment with a rate.
+
+        Args:
+            deadline: seconds until the environment's next step.
+            latency: seconds that the answer before took, the way there and back included.
+        """
+        ...
+
+
 class BatchEnvironment(Protocol):
     """Capability `batch`: the environment is many games; each of its observations carries a batch.
 
@@ -201,6 +217,7 @@ CAPABILITIES: Final[Mapping[str, tuple[type, ...]]] = {
     "extras": (ExtrasEnvironment,),
     "mask": (MaskEnvironment, MaskAgent),
     "metrics": (MetricAgent,),
+    "pace": (PacedAgent,),
     "seed": (SeedableEnvironment, SeedableAgent),
     "save": (SaveableEnvironment, SaveableAgent),
     "truncate": (EnvironmentLike,),

@@ -14,7 +14,14 @@ from experiment_runner.cli.options import backend_options, check_backend
 from experiment_runner.plan.limits import CHECKPOINT_EVERY, COUNTS, PLAYERS, Backend
 from experiment_runner.view.launch import check_view
 from glue import __version__
-from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, keys_option, legacy_port_option
+from glue.cli.shared import (
+    HUB_KEY_SETTINGS,
+    KEY_SETTINGS,
+    WAIT_VARIABLE,
+    keys_option,
+    legacy_port_option,
+    pace_options,
+)
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.plugins.naming import NamingCommand, complete_names
@@ -29,10 +36,12 @@ _GROUPS: Final = {
         "--record",
         "--ask",
         "--metrics-every",
+        "--metric",
         "--view",
         "--dry-run",
         "--trust",
     ),
+    "An environment that does not wait": ("--rate", "--late", "--delay"),
     "A cluster": ("--engine", "--address", "--sbatch"),
     "Players from outside": ("--bind", "--legacy-port", "--keys", "--insecure"),
     "A running hub": ("--hub", "--session", "--key", "--hub-key", "--wait"),
@@ -143,6 +152,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     metavar="FILE",
     help="Plan in TOML; the five numbers above override it.",
 )
+@pace_options
 @click.option("--in-process", is_flag=True, help="Players as objects, without a hub: fastest.")
 @click.option(
     "--inside",
@@ -250,6 +260,13 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     help="Record the agent's own numbers every N steps, 0 for after each episode.",
 )
 @click.option(
+    "--metric",
+    multiple=True,
+    metavar="EXTRA=HOW",
+    help="Record a number that the environment attaches to its steps, such as mario.coins=last: an episode's "
+    "first, last, sum, mean, min or max; repeat it for several.",
+)
+@click.option(
     "--view",
     is_flag=True,
     help="Show the run on a page in the browser, which stays until Ctrl-C; see glue-view.",
@@ -298,6 +315,7 @@ def experiment(**settings: Any) -> int:
             options.address,
             questions=tuple(dict.fromkeys(options.ask)),
             metrics=plan.metrics,
+            extras=plan.extras,
         )
         check_backend(config)
         check_players(config, plan)

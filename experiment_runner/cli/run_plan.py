@@ -209,6 +209,12 @@ def check_players(config: RunConfig, plan: Plan) -> None:
         ConfigError: they cannot.
     """
     inside = config.placement.inside
+    if plan.pace and config.placement.hub.hub is not None:
+        raise ConfigError("a running hub has its own pace: give --rate, --late and --delay to glue-hub")
+    if plan.rate and inside == {Role.AGENT}:
+        raise ConfigError(
+            "an agent in the process of the hub would keep the environment waiting: leave out --inside agent"
+        )
     if (
         inside
         and not (config.parallel or config.placement.in_process)

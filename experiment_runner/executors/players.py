@@ -6,6 +6,7 @@ Players that a trial names are created here, as objects or as child processes; s
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
@@ -48,7 +49,9 @@ def open_experiment(
 @contextmanager
 def _in_process(spec: TrialSpec, placement: Placement) -> Iterator[Experiment]:
     players = players_inside(spec, placement)
-    with local(players[Role.AGENT], players[Role.ENVIRONMENT]) as glue:
+    with local(
+        players[Role.AGENT], players[Role.ENVIRONMENT], pace=spec.pace, clock=time.perf_counter
+    ) as glue:
         yield glue
 
 

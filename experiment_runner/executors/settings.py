@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from experiment_runner.plan.extras import Summary
 from experiment_runner.plan.limits import CHECKPOINT_EVERY, Backend
 from experiment_runner.plan.metrics import MetricsPlan
 from glue.hub.config import DEFAULT_SESSION, LegacyPort
@@ -88,6 +89,7 @@ class RunConfig:
         address: address of the Ray cluster; None for the one that Ray finds, or one on this machine.
         questions: messages to send to the agent after each episode, and each recorded step.
         metrics: the agents' metrics to record; None for none.
+        extras: the environments' extras to record, and as what; see `experiment_runner.plan.extras`.
         grace: seconds in which a running episode may end before Ctrl-C takes effect.
     """
 
@@ -98,6 +100,7 @@ class RunConfig:
     address: str | None = None
     questions: tuple[str, ...] = ()
     metrics: MetricsPlan | None = None
+    extras: Mapping[str, Summary] = field(default_factory=dict)
     grace: float = GRACE_SECONDS
 
     @property

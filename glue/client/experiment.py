@@ -76,6 +76,7 @@ def connect_over(
     name: str = "experiment",
     on_notice: OnNotice | None = None,
     num_steps: Callable[[], int] | None = None,
+    num_late: Callable[[], int] | None = None,
 ) -> RemoteExperiment:
     """Return an experiment of `session` over an open connection, once the hub has let it in.
 
@@ -85,12 +86,14 @@ def connect_over(
         name: as for `connect`.
         on_notice: as for `connect`.
         num_steps: returns RL_num_steps from any thread; None if the hub is not in this process.
+        num_late: likewise, the number of late actions.
 
     Raises:
         ConfigError: the session name is malformed.
         Refused: the hub does not let it in.
     """
-    return RemoteExperiment(Target("inside", session), name, None, None, on_notice, transport, num_steps)
+    target = Target("inside", session)
+    return RemoteExperiment(target, name, None, None, on_notice, transport, num_steps, num_late)
 
 
 class RemoteExperiment(Experiment):
@@ -105,8 +108,10 @@ class RemoteExperiment(Experiment):
         on_notice: OnNotice | None,
         transport: Transport | None = None,
         num_steps: Callable[[], int] | None = None,
+        num_late: Callable[[], int] | None = None,
     ) -> None:
         self._num_steps = num_steps
+        self._num_late = num_late
         self._session = session = target.session
         self._on_notice = on_notice
         self._seq = 0
@@ -136,6 +141,9 @@ class RemoteExperiment(Experiment):
 
     def steps_under_way(self) -> int | None:
         return None if self._num_steps is None else self._num_steps()
+
+    def late_actions(self) -> int | None:
+        return None if self._num_late is None else self._num_late()
 
     def give_up(self, reason: str) -> None:
         """Make the verb that is waiting, or the next one, raise HubClosed; callable from any thread."""

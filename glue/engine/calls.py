@@ -23,6 +23,7 @@ from glue.roles import (
     BatchEnvironment,
     Environment,
     MetricAgent,
+    PacedAgent,
     SaveableAgent,
     SaveableEnvironment,
     SeedableAgent,
@@ -124,6 +125,8 @@ def agent_calls(agent: Agent) -> dict[Kind, Handler]:
         calls[Kind.AGENT_LOAD] = _loader(agent.agent_load)
     if offers(agent, MetricAgent):
         calls[Kind.AGENT_METRICS] = _metrics(agent, agent.agent_metrics)
+    if offers(agent, PacedAgent):
+        calls[Kind.AGENT_STEP] = _told(agent.agent_pace, step)
     return calls
 
 
@@ -201,8 +204,15 @@ def unsupported(kind: Kind, role: Role, name: str) -> str:
     return f"{role} {name} does not support this: it has no {kind.name.lower()}"
 
 
-def unfit_for_batch(environment: Container[str], agent: Container[str], name: str) -> str:
-    """Return why an agent cannot act in an environment, given the capabilities of both; "" if it can."""
+def unfit_for_batch(
+    environment: Container[str], agent: Container[str], name: str, paced: bool = False
+) -> str:
+    """Return why an agent cannot act in an environment, given the capabilities of both; "" if it can.
+
+    `paced` says whether the environment has a pace: the rewards of many games could not be added up.
+    """
+    if "batch" in environment and paced:
+        return "an environment of many games at once (capability `batch`) has no rate and no delay"
     if "batch" in environment and "batch" not in agent:
         return (
             f"agent {name} does not support this: it has no agent_batch, and the environment is many games "
@@ -222,6 +232,15 @@ def _seeder(method: Callable[[int], None]) -> Handler:
         return _DONE
 
     return seed
+
+
+def _told(method: Callable[[float, float], None], step: Handler) -> Handler:
+    def paced_step(scalars: tuple[Any, ...], observation: Any) -> Answer:
+        if len(scalars) > 1:
+            method(*scalars[1:])
+        return step(scalars, observation)
+
+    return paced_step
 
 
 def _saver(player: object, name: str, method: Callable[[], bytes]) -> Handler:

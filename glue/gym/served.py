@@ -25,7 +25,7 @@ from glue.global_seeds import seed_globals
 from glue.gym.codec import Codec
 from glue.gym.masks import MaskCodec
 from glue.gym.spaces import task_spec
-from glue.options import Option, keywords, with_options
+from glue.options import Option, keywords, option, with_options
 from glue.plugins.loading import import_user_module
 from glue.roles import Environment
 from glue.types import Action, Observation, Step
@@ -37,19 +37,16 @@ _SEEDS: Final = 2**63
 _OLD_SEEDS: Final = 2**31  # That fit C's int. NumPy's old generator takes twice as many.
 
 _OURS: Final = [
-    inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-    for name, default, annotation in (
-        (
-            "max_episode_steps",
-            None,
-            Annotated[
-                int | None,
-                Option("steps after which an episode is cut off, in place of the registered limit", low=1),
-            ],
-        ),
-        ("action_mask", False, Annotated[bool, Option("send the action_mask of infos to the agent")]),
-        ("infos", "", Annotated[str, Option("names of values in infos to send as extras, by commas")]),
-    )
+    option(
+        "max_episode_steps",
+        None,
+        Annotated[
+            int | None,
+            Option("steps after which an episode is cut off, in place of the registered limit", low=1),
+        ],
+    ),
+    option("action_mask", False, Annotated[bool, Option("send the action_mask of infos to the agent")]),
+    option("infos", "", Annotated[str, Option("values of infos to send as extras, by name: lives,score")]),
 ]
 """Options of every environment, besides its own keywords."""
 
@@ -209,8 +206,8 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
         GymnasiumEnvironment.__init__(self, make, masks=action_mask, infos=names)
 
     options = keywords(creator, "keyword of the Gymnasium environment", spec.kwargs)
-    taken = {"render_mode", *(option.name for option in _OURS)}
-    own = [option for option in options if option.name not in taken]
+    taken = {"render_mode", *(ours.name for ours in _OURS)}
+    own = [keyword for keyword in options if keyword.name not in taken]
     members: dict[str, Any] = {
         "__init__": with_options(__init__, [*own, *_OURS]),
         # Repeatability without a seed is up to its author.

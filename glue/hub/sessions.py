@@ -59,19 +59,30 @@ class Sessions:
         log: called with one line for people about each peer that joins, leaves or is slow to answer.
         clock: returns seconds, to measure the time of agents if `config` limits it; by default the time of
             the last message or tick.
+        at: calls a function, with the time, when a time has come; needed if `config` has a pace.
+        processor: as of `TimeBank`, of the agent of every session.
 
     Attributes:
+        at: as given.
+        now: the time of the last message or tick, or at which something was due.
         memory: bounds the memory of sessions, and of everything else that the hub keeps.
     """
 
     def __init__(
-        self, config: HubConfig, log: Callable[[str], None], clock: Callable[[], float] | None = None
+        self,
+        config: HubConfig,
+        log: Callable[[str], None],
+        clock: Callable[[], float] | None = None,
+        at: Callable[[float, Callable[[float], None]], None] = lambda time, work: None,
+        processor: Callable[[], float | None] | None = None,
     ) -> None:
         self.memory: Memory = Memory(config.max_memory)
         self._config = config
         self.log = log
-        self._now = 0.0
-        self._clock = clock or (lambda: self._now)
+        self.at = at
+        self.now: float = 0.0
+        self._clock = clock or (lambda: self.now)
+        self._processor = processor
         self._by_name: dict[str, Session] = {}
         self._joined: dict[Channel, dict[str, Peer]] = {}
         """The peers of each connection, by session."""
@@ -90,6 +101,15 @@ class Sessions:
         """Return the current RL_num_steps of a session that has a peer."""
         return self._by_name[session].num_steps
 
+    def num_late(self, session: str) -> int:
+        """Return the number of late actions since the last start in a session that has a peer."""
+        return self._by_name[session].num_late
+
+    def time_left(self, session: str) -> tuple[float, float] | None:
+        """Return `TimeBank.left` of a session's agent; None if its time is not limited, or it is gone."""
+        found = self._by_name.get(session)
+        return None if found is None or found.time is None else found.time.left
+
     def capabilities(self, session: str, role: Role) -> frozenset[str] | None:
         """Return the capabilities of a session's peer; None if there is no such peer."""
         found = self._by_name.get(session)
@@ -101,7 +121,7 @@ class Sessions:
 
         The answer to the outstanding call is in turn, and so is a request while none is being carried out.
         """
-        self._now = now
+        self.now = now
         joined = self._joined.get(channel)
         kind = message[0]
         peer = None if joined is None else joined.get(message[1])
@@ -133,7 +153,7 @@ class Sessions:
 
         A message of an unknown kind, which may be of a newer protocol, is only answered with an ERROR.
         """
-        self._now = now
+        self.now = now
         if isinstance(error, UnknownKind):
             message = Message(Kind.ERROR, error.session, error.seq)
             self._error(channel, message, ErrorCode.UNKNOWN_KIND, str(error))
@@ -143,13 +163,13 @@ class Sessions:
 
     def lose(self, channel: Channel, why: str, now: float, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         """Continue without the peers of `channel`; `why` completes a sentence about them."""
-        self._now = now
+        self.now = now
         for peer in list(self._joined.get(channel, {}).values()):
             self._lose(peer, why, code)
 
     def tick(self, now: float) -> None:
         """Send every connection a heartbeat, and give up peers that have been unreachable for too long."""
-        self._now = now
+        self.now = now
         for channel, joined in list(self._joined.items()):
             reached = self.send(channel, Message(Kind.HEARTBEAT, "", 0))
             for peer in list(joined.values()):
@@ -224,8 +244,10 @@ class Sessions:
             if len(self._by_name) >= self._config.max_sessions:
                 text = f"this hub serves {self._config.max_sessions} sessions at once, and all are in use"
                 return ErrorCode.FULL, text
-            bank = None if self._config.time is None else TimeBank(self._config.time, self._clock)
-            session = self._by_name[message.session] = Session(self, message.session, bank)
+            limits = self._config.time
+            bank = None if limits is None else TimeBank(limits, self._clock, self._processor)
+            session = Session(self, message.session, bank, self._config.pace)
+            self._by_name[message.session] = session
         other = joined.get(message.session)
         if other is not None and other.role is not role:
             return ErrorCode.MALFORMED, f"this connection is already the {other.role} of the session"
@@ -359,7 +381,7 @@ class Sessions:
 
     def _mark_unreachable(self, peer: Peer) -> None:
         if peer.unreachable_since is None:
-            peer.unreachable_since = self._now
+            peer.unreachable_since = self.now
 
 
 def _offered(hello: Message) -> frozenset[str]:

@@ -221,6 +221,8 @@ _ENV_STEP_REPLY = Shape((_REWARD, _TERMINAL), Body.OBSERVATION)
 _SEED = Shape((Scalar("seed", int),))
 _RETURN = Scalar("return", float)
 _NUM_STEPS = Scalar("num_steps", int)
+_DEADLINE = Scalar("deadline", float)
+_LATENCY = Scalar("latency", float)
 
 _A, _E = Role.AGENT, Role.ENVIRONMENT
 
@@ -236,7 +238,7 @@ CALLS: Final[Mapping[Kind, Call]] = MappingProxyType(
         Kind.ENV_LOAD: Call(_E, _BLOB, _EMPTY, "save"),
         Kind.AGENT_INIT: Call(_A, _TEXT, _EMPTY),
         Kind.AGENT_START: Call(_A, _OBSERVATION, _ACTION),
-        Kind.AGENT_STEP: Call(_A, _REWARD_OBSERVATION, _ACTION),
+        Kind.AGENT_STEP: Call(_A, Shape((_REWARD,), Body.OBSERVATION, more=(_DEADLINE, _LATENCY)), _ACTION),
         Kind.AGENT_END: Call(_A, Shape((_REWARD,)), _EMPTY),
         Kind.AGENT_CLEANUP: Call(_A, _EMPTY, _EMPTY),
         Kind.AGENT_MESSAGE: Call(_A, _TEXT, _TEXT),

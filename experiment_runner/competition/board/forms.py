@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from dataclasses import asdict
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
@@ -14,12 +15,16 @@ from experiment_runner.report.tables import format_table
 from experiment_runner.store.output import csv_row, finite
 from glue.console import one_line
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 LEGEND: Final = (
     "place     by the mean of the ranks in the tasks; those who are equal share it",
     "total     sum of the tasks' scores, with its 95 % bootstrap interval over trials, and the place by it",
     "score     of a task: the sum of all rewards, learning included, mean over trials; a forfeited trial "
     "scores what an agent that stands still earns, or the lowest verified score if that is lower",
 )
+_LATE: Final = "late      share of the actions that came too late for their step, in tasks with a rate"
 
 
 def number(value: float) -> str:
@@ -41,6 +46,9 @@ def as_text(board: Standings, width: int | None = None) -> str:
         width: of the terminal in characters, None for no limit.
     """
     header = ("place", "entrant", "mean rank", "total", "95 % interval", "by total", *board.tasks)
+    timed = _timed(board)
+    if timed:
+        header += ("late",)
     placed = [standing for standing in board.entrants if standing.place is not None]
     parts = [one_line(board.competition)]
     if placed:
@@ -57,7 +65,7 @@ def as_text(board: Standings, width: int | None = None) -> str:
     notes += [f"{one.name} is {one_line(one.player)}, {one.id}" for one in board.entrants if one.id]
     if notes:
         parts.append("\n".join(notes))
-    parts += ["\n".join(LEGEND), one_line(board.program)]
+    parts += ["\n".join([*LEGEND, *([_LATE] if timed else [])]), one_line(board.program)]
     if board.seeds:
         seeds = [
             (seed.task, str(seed.trial), str(seed.seed), json.dumps(seed.options)) for seed in board.seeds
@@ -73,6 +81,8 @@ def as_csv(board: Standings) -> str:
     header = ["place", "entrant", "mean_rank", "place_by_total", "total", "low", "high"]
     for task in board.tasks:
         header += [f"score {task}", f"rank {task}"]
+    timed = ["late"] if _timed(board) else []
+    header += timed
     writer.writerow(
         [*header, "forfeits", "no_place", "player", "id", "program", *(["seeds"] if board.seeds else [])]
     )
@@ -80,20 +90,21 @@ def as_csv(board: Standings) -> str:
     for standing in board.entrants:
         row: list[object] = [standing.place, standing.name]
         if standing.place is None:
-            row += [""] * (5 + 2 * len(board.tasks))
+            row += [""] * (5 + 2 * len(board.tasks) + len(timed))
         else:
             row += [standing.mean_rank, standing.place_by_total, standing.total, standing.low, standing.high]
             for task in board.tasks:
                 row += [standing.tasks[task].score, standing.tasks[task].rank]
+            row += [standing.late] if timed else []
         forfeits = "; ".join(f"{lost.task}/{lost.trial}: {lost.reason}" for lost in standing.forfeits)
         texts = (forfeits, standing.missing, standing.player, standing.id, board.program)
         writer.writerow(csv_row([*row, *texts, *seeds]))
     return text.getvalue()
 
 
-def as_json(board: Standings) -> str:
-    """Return the standings as a JSON object; a missing number is null."""
-    return json.dumps(_finite(asdict(board)), indent=2) + "\n"
+def as_json(board: DataclassInstance) -> str:
+    """Return a board as a JSON object; a missing number is null."""
+    return json.dumps(plain(board), indent=2) + "\n"
 
 
 def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
@@ -105,7 +116,18 @@ def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
         f"{number(standing.low)} .. {number(standing.high)}",
         str(standing.place_by_total),
         *(number(standing.tasks[task].score) for task in board.tasks),
+        *([f"{standing.late:.1%}"] if _timed(board) else []),
     )
+
+
+def _timed(board: Standings) -> bool:
+    """Return whether an entrant with a place has played a task with a rate."""
+    return any(not math.isnan(one.late) for one in board.entrants if one.place is not None)
+
+
+def plain(board: DataclassInstance) -> object:
+    """Return a board as JSON has it; a missing number is None."""
+    return _finite(asdict(board))
 
 
 def _finite(value: object) -> object:

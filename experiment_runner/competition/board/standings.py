@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.competition.course import Course
-from experiment_runner.competition.records.journal import ENTER, Act
+from experiment_runner.competition.records.journal import ADD, ANNOUNCE, EXCLUDE, READMIT, RERUN, Act
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.plan.ids import TrialId
@@ -29,6 +30,9 @@ from experiment_runner.store.results import Results
 from glue.console import one_line
 from glue.errors import ExperimentError
 from glue.files import read_text
+
+_SHOWN: Final = (ADD, ANNOUNCE, EXCLUDE, READMIT, RERUN)
+"""Acts that the standings show: those about trials, not those of a season."""
 
 _RESAMPLES: Final = 10_000
 _INTERVAL: Final = (2.5, 97.5)
@@ -80,6 +84,7 @@ class Standing:
         missing: short reason for having no place.
         player: what its settings name: an image, a command, the file of a key, a folder.
         id: what that name stood for: the image's id, or the public key; empty for others.
+        late: share of its actions that were late, in the tasks with a rate; NaN without one.
     """
 
     name: str
@@ -94,6 +99,7 @@ class Standing:
     missing: str = ""
     player: str = ""
     id: str = ""
+    late: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +142,12 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
         reveal: whether to include the seeds of the trials.
 
     Raises:
-        ExperimentError: the run cannot be read, or was changed since it was sealed.
+        ExperimentError: the run cannot be read, was changed since it was sealed, or its season is not closed.
     """
+    if course.in_season:
+        raise ExperimentError("the season is not closed: there are no standings yet, only its board")
     check_seal(results)
-    tasks = tuple(task.name for task in course.competition.tasks)
+    tasks = tuple(task.name for task in course.competition.testing)
     excluded = course.excluded
     judged: dict[str, list[_Judged]] = {name: [] for name in course.entrants}
     for judgement in _judged(results, course):
@@ -163,7 +171,7 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
         ),
         _program(results.directory),
         tuple(_seeds(results, course)) if reveal else (),
-        tuple(one for one in course.acts if one.act != ENTER),
+        tuple(one for one in course.acts if one.act in _SHOWN and (one.act != RERUN or one.trial)),
     )
 
 
@@ -182,6 +190,7 @@ class _Judged(NamedTuple):
     forfeit     why it was forfeited; None if it was not
     score       verified
     curve       see `_curve`
+    late        number of late actions, and of all; none without a rate
     """
 
     trial: TrialId
@@ -189,10 +198,12 @@ class _Judged(NamedTuple):
     forfeit: str | None = None
     score: float = math.nan
     curve: FloatArray = np.zeros(0)
+    late: tuple[float, int] = (0, 0)
 
 
 def _judged(results: Results, course: Course) -> Iterator[_Judged]:
     outcomes, verdicts = results.outcomes(), results.verdicts()
+    rated = {task.name for task in course.competition.tasks if task.rate}
     for planned, trial in course.counting.items():
         outcome, verdict = outcomes.get(trial), verdicts.get(trial)
         if outcome is None:
@@ -204,8 +215,11 @@ def _judged(results: Results, course: Course) -> Iterator[_Judged]:
         elif _digest(record_path(results.directory, trial)) != verdict.digest:
             yield _Judged(planned, "changed since it was verified", outcome.reason)
         else:
-            curve = _curve(results.episodes(trial) if outcome.reason is None else ())
-            yield _Judged(planned, "", outcome.reason, verdict.score, curve)
+            episodes = results.episodes(trial)
+            curve = _curve(episodes if outcome.reason is None else ())
+            timed = episodes if planned.parts[1] in rated else ()
+            late = (sum(one.late for one in timed), sum(one.steps for one in timed))
+            yield _Judged(planned, "", outcome.reason, verdict.score, curve, late)
 
 
 def _standing(
@@ -232,6 +246,7 @@ def _standing(
         curves = [one.curve for one in theirs if len(one.curve)]
         curve = tuple(np.mean(curves, axis=0).tolist()) if curves else ()
         scores[task] = TaskScore(float(np.mean(trials)), trials, math.nan, curve)
+    late, actions = (sum(one.late[i] for one in judged) for i in (0, 1))
     return Standing(
         admitted.subject,
         tasks=scores,
@@ -241,6 +256,7 @@ def _standing(
         missing=why,
         player=admitted.player,
         id=admitted.id,
+        late=late / actions if actions and not why else math.nan,
     )
 
 
@@ -250,7 +266,7 @@ def _placed(entrants: Sequence[Standing], tasks: Sequence[str]) -> list[Standing
     mean_ranks = [float(np.mean([by_task[task][i] for task in tasks])) for i in range(len(entrants))]
     placed = []
     for i, one in enumerate(entrants):
-        low, high = _interval([one.tasks[task].trials for task in tasks])
+        low, high = interval(tuple(one.tasks[task].trials for task in tasks))
         placed.append(
             replace(
                 one,
@@ -266,8 +282,13 @@ def _placed(entrants: Sequence[Standing], tasks: Sequence[str]) -> list[Standing
     return sorted(placed, key=lambda one: (one.mean_rank, -one.total, one.name))
 
 
-def _interval(scores: Sequence[Sequence[float]]) -> tuple[float, float]:
-    """Return the 95 % percentile bootstrap interval of the total: trials are resampled within each task."""
+@lru_cache(maxsize=4096)
+def interval(scores: tuple[tuple[float, ...], ...]) -> tuple[float, float]:
+    """Return the 95 % percentile bootstrap interval of a total: trials are resampled within each task.
+
+    Args:
+        scores: of the trials of each task.
+    """
     rng = bootstrap_rng()
     totals = np.zeros(_RESAMPLES)
     for trials in scores:

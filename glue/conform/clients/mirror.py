@@ -69,6 +69,7 @@ class MirrorAgent(_Mirror, Agent):
     """The mirror's agent."""
 
     agent_masks = True
+    _told: tuple[float, ...] = ()
 
     def agent_init(self, task_spec: str) -> None:
         self.count: int = 0
@@ -76,9 +77,13 @@ class MirrorAgent(_Mirror, Agent):
     def agent_start(self, observation: Observation) -> Action:
         return self.agent_step(0.0, observation)
 
+    def agent_pace(self, deadline: float, latency: float) -> None:
+        self._told = (deadline, latency)
+
     def agent_step(self, reward: float, observation: Observation) -> Action:
         self.count += 1
-        return Action(*self.runs(observation, reward))
+        told, self._told = self._told, ()
+        return Action(*self.runs(observation, reward, *told))
 
     def agent_end(self, reward: float) -> None:
         self.count += 1

@@ -141,6 +141,40 @@ def outcome(scene: Scene) -> None:
         scene.counted(*told[1:], 1)
 
 
+@RULES.add(Tier.COMPLETE, "an-environment-that-does-not-wait")
+def pace(scene: Scene) -> None:
+    """A late agent is called again only when it has answered: with all rewards since, and what is newest."""
+    # Three steps of an agent with the capability `pace`, which answers the first after them.
+    scene.agent = scene.peer(Role.AGENT, "pace")
+    scene.init()
+    scene.start()
+    number = scene.first_step()
+    scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
+    late = scene.agent.expects(Kind.AGENT_STEP)
+    told = [value for value in late.scalars if isinstance(value, float) and value >= 0]
+    scene.agent.check(
+        late.scalars[:1] == (reward(1),) and len(late.scalars) in (1, 3) and late.body == saw(1),
+        f"{described(late)} received, and the reward is {reward(1)}",
+    )
+    if len(late.scalars) == 1:  # this hub waits for its agents
+        scene.agent.send(Kind.AGENT_STEP, seq=late.seq, body=did(1))
+        scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+        return
+    scene.agent.check(len(told) >= 2, f"{described(late)} received, with a time before now")
+    for step in (2, 3):
+        action = scene.experiment.expects(Kind.RL_STEP, scene.experiment.seq).body[len(saw(step)) :]
+        scene.experiment.ask(Kind.RL_STEP)
+        scene.environment.answers(Kind.ENV_STEP, body=action, reply=(reward(step), False), gives=saw(step))
+    scene.agent.expects_nothing()
+    scene.agent.send(Kind.AGENT_STEP, seq=late.seq, body=did(1))
+    newest = scene.agent.expects(Kind.AGENT_STEP)
+    sums = reward(2) + reward(3)
+    scene.agent.check(
+        newest.scalars[0] == sums and newest.body == saw(3),
+        f"{described(newest)} received, and the rewards since the answered observation are {sums}",
+    )
+
+
 @RULES.add(Tier.PLAYS, "what-the-calls-mean")
 def last_action(scene: Scene) -> None:
     """RL_STEP executes the last action, also past the end of an episode."""

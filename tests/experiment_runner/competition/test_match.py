@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from env_server.toys import MinesEnvironment
-from experiment_runner.competition.match import Forfeited, Piece
+from experiment_runner.competition.match import ASK, Forfeited, Piece, Used
+from experiment_runner.competition.records.verify import replay_trial
 from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.starters import Launch
 from experiment_runner.competition.trials import agent_seed, draw, trials
@@ -21,9 +22,11 @@ from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
 from tests.experiment_runner.competition.players import (
     SECRET,
+    Dawdler,
     InThread,
     Thread,
     Walker,
+    Watched,
     competition,
     reports_of,
 )
@@ -52,6 +55,21 @@ def test_a_task_of_steps_is_played_to_its_last_step(tmp_path: Path) -> None:
     returns = [report.result.episode_return for report in reports if isinstance(report, Recorded)]
     assert [episode.episode_return for episode in recorded] == returns
     assert {episode.ending for episode in recorded[:-1]} <= {Ending.TERMINAL}
+
+
+def test_what_a_late_agent_did_not_choose_is_recorded_as_it_was_carried_out(tmp_path: Path) -> None:
+    watched = f"{Watched.__module__}:{Watched.__name__}"
+    reports = reports_of(Dawdler(), tmp_path, steps=60, env=watched, rate=200.0)
+    assert reports[-1] == Ended(None)
+    recorded = episodes(reports, tmp_path)
+    results = [report.result for report in reports if isinstance(report, Recorded)]
+    assert sum(result.late for result in results) >= 3
+    (spec,) = trials(competition("alice", steps=60, env=watched, rate=200.0), SECRET)
+    replayed, score = replay_trial(spec, tmp_path / "record.traj")
+    assert [(steps, total) for _, steps, total in replayed] == [
+        (len(episode.steps), episode.episode_return) for episode in recorded
+    ]
+    assert score == sum(result.episode_return for result in results)
 
 
 def test_the_agents_seed_says_nothing_of_the_environments(tmp_path: Path) -> None:
@@ -104,6 +122,41 @@ def test_a_bank_that_is_drained_slowly_ends_the_task(tmp_path: Path) -> None:
     assert "bank of 5 s is empty" in forfeit(reports)
     assert clock.now == 11 * 1.5  # the bank holds ten half seconds, and the eleventh is one too many
     assert episodes(reports, tmp_path)[-1].ending is Ending.VOID
+
+
+class Asking(Thinker):
+    """Asks what time is left."""
+
+    def __init__(self, clock: Clock, seconds: float, answer: str) -> None:
+        super().__init__(clock, seconds)
+        self.answer = answer
+        self.heard: list[str] = []
+
+    def agent_message(self, message: str) -> str:
+        self.heard.append(message)
+        return self.answer
+
+
+def test_an_agent_that_asks_is_told_what_time_is_left(tmp_path: Path) -> None:
+    clock = Clock()
+    asking = Asking(clock, 1.25, "yes")
+    asking.path = (1,)
+    reports = reports_of(asking, tmp_path, clock, limits=LIMITS, steps=16, max_steps=6, env="skeleton")
+    assert reports[-1] == Ended(None)
+    first, *told = asking.heard
+    assert first == ASK
+    assert told[0] == f"time-left bank=5.000 total={LIMITS.total_seconds:.3f}"
+    left = [float(message.split("=")[1].split()[0]) for message in told]
+    assert left == [5.0, 3.75, 2.5, 1.25]
+    (used,) = (report for report in reports if isinstance(report, Used))
+    assert used == Used(None, None, 1.0)
+
+
+def test_one_that_does_not_ask_hears_nothing_more(tmp_path: Path) -> None:
+    clock = Clock()
+    asking = Asking(clock, 0.0, "I do not understand your message")
+    reports_of(asking, tmp_path, clock, limits=LIMITS)
+    assert asking.heard == [ASK]
 
 
 class LateThinker(Thinker):

@@ -53,7 +53,7 @@ class Masked(gymnasium.Env[Any, Any]):  # type: ignore[misc]
     """
 
     action_space = spaces.MultiDiscrete([3, 2])
-    observation_space = spaces.Box(0, 100, (1,), np.float32)
+    observation_space = spaces.Discrete(10)
 
     def __init__(self, length: int = 4) -> None:
         self._length = length
@@ -80,7 +80,7 @@ class Masked(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         info |= {"path": [*range(self._step)], "rich": {"a": 1}}
         if self._step == self._length:
             info["worth"] = self._total
-        return np.array([self._step], np.float32), info
+        return self._step, info
 
 
 gymnasium.register("tests/Masked-v0", entry_point=Masked)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,14 @@ import pytest
 
 from glue.client.experiment import connect
 from glue.conform.hubs.rules import RULES
+from glue.conform.hubs.scripted import reward
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.channel import Channel
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.hub.session import Peer
 from glue.hub.sessions import Sessions
+from glue.pace import Pace
 from glue.testing import ContractBroken, HubRule, check_hub
 from glue.types import Action, has_beside
 from glue.wire.beside import readable
@@ -52,8 +55,8 @@ def test_hub_that_is_not_there_is_no_hub() -> None:
 class Spoiled(Sessions):
     """Our sessions, with changes to outgoing and incoming messages."""
 
-    def __init__(self, config: HubConfig, log: Callable[[str], None], clock: Callable[[], float]) -> None:
-        super().__init__(config, log, clock)
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
         self.seen: dict[Any, Any] = {}
 
     def send(self, channel: Channel, message: Message) -> bool:
@@ -173,6 +176,18 @@ class CountsAHelloForAnAnswer(Spoiled):
         return [(channel, message)]
 
 
+class DoesNotWait(Spoiled):
+    def __init__(self, config: HubConfig, *more: Any) -> None:
+        super().__init__(replace(config, pace=Pace(rate=50.0)), *more)
+
+
+class ForgetsTheRewardsOfLateAgents(DoesNotWait):
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+        if message.kind is Kind.AGENT_STEP and message.scalars[0] == reward(2) + reward(3):
+            message = message._replace(scalars=(reward(3), *message.scalars[1:]))
+        return [(channel, message)]
+
+
 class WaitsForEver(Spoiled):
     def tick(self, now: float) -> None:
         super().tick(0.0)
@@ -266,6 +281,7 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
         HubRule.OUTCOME,
         saying(lambda m, seen: scalars(2, 0)(m, seen) if m.scalars[1:] else m, Kind.RL_EPISODE),
     ),
+    "forgets the rewards of late agents": (HubRule.PACE, ForgetsTheRewardsOfLateAgents),
     "acts before any action": (
         HubRule.LAST_ACTION,
         saying(lambda m, seen: m._replace(body=FIRST_ACTION) if len(m.body) == 16 else m, Kind.ENV_STEP),
@@ -329,6 +345,12 @@ def test_hub_that_says_nothing_is_found_when_the_wait_is_over(
     only = [each for each in RULES if each.text == rule]
     monkeypatch.setattr("glue.conform.hubs.judge.RULES", only)
     assert caught(monkeypatch, broken, wait=0.5).rule is rule
+
+
+def test_a_hub_that_does_not_wait_keeps_every_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("glue.hub.io.server.Sessions", DoesNotWait)
+    with hub() as url:
+        check_hub(url, wait=WAIT)
 
 
 def test_every_rule_is_broken_by_a_hub() -> None:

@@ -165,7 +165,8 @@ def scalars_cell(shape: Shape) -> str:
     with_what = "[`mask` or `extras`](#beside-the-observation)"
     if shape.more == CONTROL[Kind.HELLO].scalars[-1:]:
         return f"; with {with_what} also ".join(cells)
-    return f"; with [`{OUTCOME}`](#capabilities) also ".join(filter(None, cells)) or NOTHING
+    capability = "pace" if shape is CALLS[Kind.AGENT_STEP].request else OUTCOME
+    return f"; with [`{capability}`](#capabilities) also ".join(filter(None, cells)) or NOTHING
 
 
 def type_cell(scalar: Scalar) -> str:
@@ -233,7 +234,7 @@ def test_table_of_capabilities_is_that_of_the_program() -> None:
 
     documented = {(row[0].strip("`"), name) for row in rows for name in row[1].split(", ")}
     with_calls = {(c.capability, k.name) for k, c in CALLS.items() if c.capability is not None}
-    others = (ONE_RUN, OUTCOME, "truncate", "batch", *BESIDE)
+    others = (ONE_RUN, OUTCOME, "truncate", "batch", "pace", *BESIDE)
     assert documented == with_calls | {(name, NOTHING) for name in others}
 
 
