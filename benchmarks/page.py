@@ -32,6 +32,7 @@ ORDER: Final = (
     "agents",
     "competition",
     "realtime",
+    "season",
 )
 """The sections of the page, in this order: the notes, and parts of the benchmarks by their names."""
 

@@ -36,6 +36,7 @@ FOLDERS: Final = {
     "package/test_names.py": "package",
     "package/test_notebooks.py": "notebooks",
     "package/test_site.py": "site",
+    "season": "season",
     "studies": "studies",
     "system/slurm": "slurm",
     "system/test_ray.py": "ray",

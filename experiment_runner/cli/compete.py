@@ -3,48 +3,29 @@
 from __future__ import annotations
 
 import os
-import sys
 import warnings
-from collections.abc import Callable
 from contextlib import ExitStack
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from experiment_runner.cli.compete_entrants import COMMANDS
+from experiment_runner.cli.compete_serve import ACTS, serve
 from experiment_runner.cli.options import DIRECTORY, naming_out
+from experiment_runner.cli.season_page import page
 from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
 from glue.console import say
-from glue.errors import ConfigError, ExperimentError
+from glue.errors import ConfigError
 from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
 from glue.keys.certificates import encode, read_pair, read_public
-
-if TYPE_CHECKING:
-    from experiment_runner.competition.course import Course
-    from experiment_runner.competition.records.journal import Act
-    from experiment_runner.store.results import Results
 
 _READ = click.Path(path_type=Path, dir_okay=False)
 
 _FILE = click.argument("file", type=_READ, metavar="FILE")
 _DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
-
-
-def _reason(context: click.Context, option: click.Parameter, text: str) -> str:
-    if not text.strip() or not text.isprintable():
-        raise click.BadParameter("a reason is a line of printable text")
-    return text.strip()
-
-
-_REASON = click.option(
-    "--reason",
-    required=True,
-    callback=_reason,
-    metavar="TEXT",
-    help="Why, in a line for all to read: it is sealed with the run, and shown on the board.",
-)
 
 
 @click.group("glue-compete", no_args_is_help=True)
@@ -60,6 +41,10 @@ def compete() -> None:
       glue-compete board runs/spring --format html > spring.html
     """
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
+
+
+for command in (page, serve, *ACTS, *COMMANDS):
+    compete.add_command(command)
 
 
 @compete.command()
@@ -149,58 +134,6 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
 
 @compete.command()
 @_DIRECTORY
-@click.argument("file", type=_READ, metavar="FILE")
-@_REASON
-def add(directory: Path, file: Path, reason: str) -> None:
-    """Add the entrants of FILE that the run in DIR does not have yet; `run` then lets them play."""
-    from experiment_runner.competition.organiser import admissions
-    from experiment_runner.competition.records.journal import ADD
-    from experiment_runner.competition.settings import load_competition
-
-    def acts(course: Course, results: Results) -> list[Act]:
-        new = [entrant for entrant in competition.entrants if entrant.name not in course.entrants]
-        if not new:
-            raise ExperimentError(f"{file} has no entrant that {directory} does not have")
-        return admissions(competition, new, ADD, reason)
-
-    competition = load_competition(file)
-    _act(directory, acts)
-    say(f"now: glue-compete run {file} --out {directory}")
-
-
-@compete.command()
-@_DIRECTORY
-@click.argument("entrants", nargs=-1, required=True, metavar="ENTRANT...")
-@_REASON
-def exclude(directory: Path, entrants: tuple[str, ...], reason: str) -> None:
-    """Take entrants of the run in DIR off the board for good; everything that they played is kept."""
-    _act(directory, lambda course, _: [course.exclusion(one, reason) for one in dict.fromkeys(entrants)])
-
-
-@compete.command()
-@_DIRECTORY
-@click.argument("trials", nargs=-1, required=True, metavar="TRIAL...")
-@_REASON
-def rerun(directory: Path, trials: tuple[str, ...], reason: str) -> None:
-    """Have trials of the run in DIR, such as alice/easy/0, played again by `run`, on the same levels.
-
-    The new trials count instead of the old ones, which are kept.
-    """
-
-    _act(directory, lambda course, results: course.repetitions(trials, results.outcomes(), reason))
-    say(f"now: glue-compete run FILE --out {directory}")
-
-
-def _act(directory: Path, acts: Callable[[Course, Results], list[Act]]) -> None:
-    from experiment_runner.competition.board.forms import line_of
-    from experiment_runner.competition.course import act_on
-
-    for act in act_on(directory, acts):
-        say(line_of(act))
-
-
-@compete.command()
-@_DIRECTORY
 @click.option(
     "--sign",
     type=_READ,
@@ -212,6 +145,8 @@ def verify(directory: Path, sign: Path | None) -> int:
     from experiment_runner.competition.course import course_of
     from experiment_runner.competition.records import seal
     from experiment_runner.competition.records.verify import verify as verify_run
+    from experiment_runner.competition.season.bundle import board_differs
+    from experiment_runner.store.layout import BOARD_FILE
     from experiment_runner.store.store import Store
 
     pair = None if sign is None else read_pair(sign, "sign")
@@ -226,12 +161,15 @@ def verify(directory: Path, sign: Path | None) -> int:
         over = set(store.outcomes())
         problems = verify_run(store, steps, say)
         left = set(course.trials) - over
+        differs = board_differs(store)
+        if differs:
+            say(f"{BOARD_FILE} is not the board of the journal and the records")
         still_broken = seal.broken(store)
     of = f"of {len(over) + len(left)} trials are"
     say(f"{len(over) - problems} {of} verified")
     if left:
         say(f"{len(left)} {of} not over: continue with glue-compete run FILE --out {directory}")
-    failed = problems or changed or still_broken or left
+    failed = problems or changed or still_broken or left or differs
     if pair is not None and failed:
         say("nothing was signed")
     elif pair is not None:
@@ -250,6 +188,7 @@ def verify(directory: Path, sign: Path | None) -> int:
     show_default=True,
     help="For the terminal, as CSV, as one self-contained HTML page, or as JSON.",
 )
+@click.option("--season", is_flag=True, help="After a season: show its board, not that of the testing tasks.")
 @click.option(
     "--reveal", is_flag=True, help="After the competition: show what the secret seed has determined."
 )
@@ -258,21 +197,74 @@ def verify(directory: Path, sign: Path | None) -> int:
     metavar="KEY",
     help="Public key of the organiser, or its file: refuse a directory that is not signed with it.",
 )
-def board(directory: Path, form: str, reveal: bool, signed_by: str | None) -> None:
-    """Print the standings, which count only verified trials."""
+def board(directory: Path, form: str, season: bool, reveal: bool, signed_by: str | None) -> None:
+    """Print the standings, which count only verified trials; of a season that is not closed, its board, with
+    everything that its organiser may know.
+    """
     from experiment_runner.competition.board.forms import as_csv, as_json, as_text
     from experiment_runner.competition.board.standings import standings
     from experiment_runner.competition.course import course_of
-    from experiment_runner.competition.records.seal import check_signature
+    from experiment_runner.competition.records.seal import check_seal, check_signature
+    from experiment_runner.competition.season.board import ORGANISER, season_board
+    from experiment_runner.competition.season.forms import as_text as season_text
+    from experiment_runner.competition.season.forms import places_of, scores_of
     from experiment_runner.report.tables import terminal_width
     from experiment_runner.store.results import Results
     from experiment_runner.view.export import as_page
 
     if signed_by is not None:
         check_signature(directory, read_public(signed_by, "signed_by"))
+    course, width = course_of(directory), terminal_width()
     with Results.open(directory) as results:
-        found = standings(results, course_of(directory), reveal)
-    if form == "text":
-        click.echo(as_text(found, terminal_width()))
-    else:
-        sys.stdout.write({"csv": as_csv, "html": as_page, "json": as_json}[form](found))
+        if season or course.in_season or not course.competition.testing:
+            if form == "html":
+                raise ConfigError(f"a season has a page: glue-compete page {directory} --publish FOLDER")
+            check_seal(results)
+            shown = season_board(results, course, datetime.now(UTC), ORGANISER)
+            forms = {
+                "text": lambda: season_text(shown, width),
+                "csv": lambda: places_of(shown.competition, scores_of(shown)),
+            }
+            text = forms.get(form, lambda: as_json(shown))()
+        else:
+            found = standings(results, course, reveal)
+            forms = {"text": lambda: as_text(found, width), "csv": lambda: as_csv(found)}
+            text = forms.get(form, lambda: (as_page if form == "html" else as_json)(found))()
+    click.echo(text, nl=form == "text")
+
+
+@compete.command()
+@_DIRECTORY
+@click.argument("out", type=DIRECTORY, metavar="OUT")
+def bundle(directory: Path, out: Path) -> None:
+    """Write into OUT everything of the run in DIR with which others can verify it, when its season is closed.
+
+    These are the file, journal, seal, database, records and boards: neither keys nor logs.
+    """
+    from experiment_runner.competition.season.bundle import bundle as write_bundle
+
+    write_bundle(directory, out)
+    say(f"whoever has {out} can verify it: glue-compete verify {out}")
+
+
+@compete.command()
+@_DIRECTORY
+@click.option(
+    "--grades",
+    type=click.Choice(["canvas", "moodle", "csv"]),
+    required=True,
+    help="System that takes the file; csv is for people and spreadsheets.",
+)
+def export(directory: Path, grades: str) -> None:
+    """Print the scores of the run in DIR as grades: of the season, or of the testing tasks once it is closed.
+
+    Entrants are named as they enrolled, so let students enrol with their login.
+    """
+    from experiment_runner.competition.course import course_of
+    from experiment_runner.competition.season.forms import GRADES, grades_of
+    from experiment_runner.store.results import Results
+
+    course = course_of(directory)
+    with Results.open(directory) as results:
+        found = grades_of(results, course)
+    click.echo(GRADES[grades](course.competition.name, found), nl=False)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
+from urllib.parse import urlsplit
 
 import click
 
@@ -17,6 +18,7 @@ from glue.errors import ConfigError, ExperimentError
 if TYPE_CHECKING:
     from experiment_runner.analysis.settings import Setting
     from experiment_runner.executors.settings import RunConfig
+    from experiment_runner.view.server import Place
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -139,3 +141,25 @@ class LazyGroup(click.Group):
             command = next(each for each in found if isinstance(each, click.Command) and each.name == name)
             prepare(command)
         return name, command, rest
+
+
+def place_of(host: str, port: int | None, proxy: str, insecure: bool) -> Place:
+    """Return the place of a page that asks for tokens, which cross a network only encrypted.
+
+    Args:
+        host, port, proxy: see `Place`.
+        insecure: whether other machines may reach it without a proxy.
+
+    Raises:
+        ConfigError: they could, or the proxy is no address.
+    """
+    from experiment_runner.view.server import Place, is_loopback
+
+    if not insecure and not is_loopback(host):
+        raise ConfigError(
+            f"{host} can be reached by other machines, and the page is not encrypted: put a proxy in front "
+            "of it (docs/view.md), or add --insecure"
+        )
+    if proxy and (urlsplit(proxy).scheme not in ("http", "https") or not urlsplit(proxy).netloc):
+        raise ConfigError(f"--proxy is an address such as https://lab.example/runs, not {proxy}")
+    return Place(host, port, proxy)

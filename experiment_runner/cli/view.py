@@ -9,10 +9,10 @@ import warnings
 import webbrowser
 from pathlib import Path
 from typing import Final
-from urllib.parse import urlsplit
 
 import click
 
+from experiment_runner.cli.options import place_of
 from experiment_runner.view.launch import check_view
 from glue import __version__
 from glue.errors import ConfigError
@@ -76,27 +76,24 @@ def view(
         if not directory.is_dir():
             raise ConfigError(f"there is no folder {directory}")
     check_view()
+    from experiment_runner.view.app import page
     from experiment_runner.view.catalog import address_of
-    from experiment_runner.view.server import is_loopback, serve
+    from experiment_runner.view.server import new_token, serve
 
-    if not insecure and not is_loopback(host):
-        raise ConfigError(
-            f"{host} can be reached by other machines, and the page is not encrypted: put a proxy in front "
-            "of it (docs/view.md), or add --insecure"
-        )
-    if proxy and (urlsplit(proxy).scheme not in ("http", "https") or not urlsplit(proxy).netloc):
-        raise ConfigError(f"--proxy is an address such as https://lab.example/runs, not {proxy}")
+    place = place_of(host, port, proxy, insecure)
     os.nice(_NICENESS)  # the runs have priority
     shown = directories or (_DEFAULT_FOLDER,)
 
+    token = new_token()
+
     def ready(url: str) -> None:
-        url += address_of(shown)
+        url += f"?token={token}{address_of(shown)}"
         click.echo(f"the page is at {url}", err=stderr)
         if not no_browser and _has_display():
             # open() may wait for the browser.
             threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
-    serve(shown, port, host, proxy, ready)
+    serve(lambda address, pulse: page(shown, address, token, pulse), place, ready)
 
 
 def _has_display() -> bool:

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match
-from experiment_runner.competition.settings import Competition, Entrant
+from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Used
+from experiment_runner.competition.settings import Competition, Entrant, Limits
 from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.trials import public_trial
 from experiment_runner.executors.job import Ended, Lost, Recorded
@@ -93,7 +93,7 @@ def _checked(
             write_flushed(log, "")
         most = min(task.max_steps or _MAX_STEPS, _MAX_STEPS)
         spec = public_trial(task, entrant.name, EPISODES, most)
-        episodes, problem = _try(executor, Match(spec, found, limits, 0, log, run))
+        episodes, used, problem = tried(executor, Match(spec, found, limits, 0, log, run))
         if first is None and problem is not None:
             first = f"task {task.name}: {problem}"
         lines += [
@@ -105,6 +105,7 @@ def _checked(
                 + (f", {result.late:.0f} actions late" if task.rate else "")
                 for result in episodes
             ),
+            *([] if used is None else [in_words(used, limits)]),
             f"The end of its log, which is in {log.name}:",
             *_tail(log),
             "",
@@ -112,10 +113,14 @@ def _checked(
     return first, [*lines, ends]
 
 
-def _try(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], str | None]:
-    """Return the episodes that an entrant has played, and why it could not play all of them."""
+def tried(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], Used | None, str | None]:
+    """Let an entrant play one match.
+
+    Returns:
+        The episodes that it has played, what it has used, and why it could not play all of them.
+    """
     episodes: list[EpisodeResult] = []
-    problem = None
+    used = problem = None
     executor.start(played)
     while True:
         for _, report in executor.receive(_WAIT_SECONDS):
@@ -124,10 +129,24 @@ def _try(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], s
                     episodes.append(result)
                 case Forfeited(reason):
                     problem = f"would have forfeited: {reason}"
+                case Used():
+                    used = report
                 case Ended(failure):
-                    return episodes, problem or failure
+                    return episodes, used, problem or failure
                 case Lost(why):
-                    return episodes, why
+                    return episodes, used, why
+
+
+def in_words(used: Used, limits: Limits) -> str:
+    """Return what an entrant has used, as a line for its owner."""
+    parts = []
+    if used.processor is not None:
+        parts.append(f"{used.processor:.2f} s of processors")
+    if used.peak is not None:
+        parts.append(f"{used.peak / 2**20:.0f} MiB of memory at most")
+    if used.bank is not None:
+        parts.append(f"time bank down to {used.bank:.2f} of {limits.bank_seconds:g} s")
+    return "; ".join(parts)
 
 
 def _tail(log: Path) -> list[str]:

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, BinaryIO, Final, TypeVar
 
 from docker.errors import APIError, DockerException, ImageNotFound, NotFound
 from requests.exceptions import RequestException
@@ -28,6 +28,7 @@ from experiment_runner.competition.jail import LABEL, check_engine, check_image,
 from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starters import SOCKET, Launch, Running, Starter
+from experiment_runner.competition.usage import ControlGroup
 from experiment_runner.processes.watchdog import spawn
 from experiment_runner.store.layout import write_flushed
 from glue.console import say
@@ -56,6 +57,8 @@ _REMOVED: Final = (404, 409)
 
 _SIGNALLED: Final = 128
 """The exit status for signal 0."""
+
+_SHORT_ID: Final = 12
 
 _BYTES_PER_SECOND: Final = 2**15
 """Rate at which the output of a container is read."""
@@ -107,6 +110,30 @@ class Containers(Starter):
             self._warn(f"{entrant.name}: {warning}")
         return str(found["Id"])
 
+    def load(self, file: BinaryIO, repository: str) -> str:
+        """Load an image that `season.images` has checked, under a name of ours, and return its id.
+
+        Args:
+            file: a tar of one image without names.
+            repository: for the name, without which `docker image prune` would remove the image.
+
+        Raises:
+            ConfigError: there is no engine, or it does not take the file for an image.
+            ExperimentError: the engine has no room.
+        """
+        engine = self._engine
+
+        def load() -> Any:
+            file.seek(0)
+            return engine.images.load(file)
+
+        try:
+            (image,) = _ask("load an image", load)
+            image.tag(repository, image.id.rpartition(":")[2][:_SHORT_ID])
+        except (APIError, ImageNotFound, ValueError) as error:
+            raise ConfigError(f"the engine does not take it for an image: {_in_short(error)}") from None
+        return str(image.id)
+
     def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Running:
         """Start the image in a jail of its own.
 
@@ -130,7 +157,7 @@ class Containers(Starter):
             made = self._engine.containers.get(self._engine.api.create_container_from_config(settings)["Id"])
             try:
                 container = Container(made, limits, launch.log, self._address.removeprefix(_UNIX), held)
-                made.start()
+                container.begin()
             except BaseException as error:
                 with suppress(DockerException, OSError):  # the engine is gone: `sweep` removes it
                     _remove(made)
@@ -216,6 +243,7 @@ class Container(Running):
         self._container = container
         self._memory = limits.memory
         self._stopped = False
+        self._group: ControlGroup | None = None
         self._printed = _Printed(container.attach(stream=True), limits.log)
         # Not filtered by event type: podman names the types differently.
         self._events = container.client.api.events(
@@ -237,6 +265,9 @@ class Container(Running):
             return
         self._stopped = True
 
+        if self._group is not None:
+            self._group.read()
+
         def kill() -> None:
             with suppress(APIError):  # the container has ended
                 self._container.kill()
@@ -255,6 +286,28 @@ class Container(Running):
             self._events.close()
         with suppress(OSError):  # the disk is full: the log is not worth the trial
             write_flushed(self.log, self._printed.take())
+
+    @property
+    def processor(self) -> float | None:
+        """Seconds that it has used of all processors so far; None if this machine does not show it."""
+        if self._group is None:
+            return None
+        self._group.read()
+        return self._group.processor
+
+    @property
+    def peak(self) -> int | None:
+        """The most bytes of memory that it had used at once when `processor` was last asked for."""
+        return None if self._group is None else self._group.peak
+
+    def begin(self) -> None:
+        """Start it.
+
+        Raises:
+            APIError: the engine cannot.
+        """
+        self._container.start()
+        self._group = ControlGroup(self._container.id)
 
     def _dismiss(self) -> None:
         """Kill the remover, which is no longer needed."""

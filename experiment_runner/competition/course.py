@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
-from experiment_runner.competition.records.journal import ADD, ENTER, EXCLUDE, RERUN, Act, act, acts_of
+from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.journal import Act, act, acts_of
 from experiment_runner.competition.records.seal import check_seal, record_acts, seal
-from experiment_runner.competition.settings import Competition, load_competition
+from experiment_runner.competition.settings import (
+    Competition,
+    Entrant,
+    Season,
+    changed,
+    changes,
+    load_competition,
+)
+from experiment_runner.competition.trials import attempt_trials, levels, trials
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
+
+IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
+"""The ids of images."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,26 +45,63 @@ class Course:
 
     @property
     def entrants(self) -> Mapping[str, Act]:
-        """The entrants by name, with the act that admitted each."""
-        entered = {
-            one.name: Act("", ENTER, one.name, "", player=one.player) for one in self.competition.entrants
+        """The entrants by name, with the act that admitted each, which has its present player and id."""
+        found = {
+            one.name: Act("", journal.ENTER, one.name, "", player=one.player)
+            for one in self.competition.entrants
         }
-        return entered | {one.subject: one for one in self.acts if one.act in (ENTER, ADD)}
+        for one in self.acts:
+            if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
+                found[one.subject] = one
+            elif one.act == journal.IMAGE and one.subject in found:
+                found[one.subject] = replace(found[one.subject], player=one.player, id=one.id)
+        return found
+
+    @property
+    def season(self) -> Season | None:
+        """The rules of the season, with the changes that were made to them; None if there is none.
+
+        Raises:
+            ExperimentError: a change is not allowed.
+        """
+        found = self.competition.season
+        for one in self.acts:
+            if found is not None and one.act == journal.CHANGE:
+                found = changed(found, one.subject, one.value)
+        return found
+
+    @property
+    def in_season(self) -> bool:
+        """Whether there is a season that is not closed, so that no testing task is played yet."""
+        return self.competition.season is not None and all(one.act != journal.CLOSE for one in self.acts)
 
     @property
     def excluded(self) -> Mapping[str, str]:
         """The reason for each exclusion, by the entrant's name."""
-        return {one.subject: one.reason for one in self.acts if one.act == EXCLUDE}
+        found: dict[str, str] = {}
+        for one in self.acts:
+            if one.act == journal.EXCLUDE:
+                found[one.subject] = one.reason
+            elif one.act == journal.READMIT:
+                found.pop(one.subject, None)
+        return found
 
     @property
     def reruns(self) -> Mapping[TrialId, TrialId]:
         """The trial that was repeated, by the id of each repetition, oldest first."""
-        return {TrialId(one.trial): TrialId(one.subject) for one in self.acts if one.act == RERUN}
+        return {
+            TrialId(one.trial): TrialId(one.subject)
+            for one in self.acts
+            if one.act == journal.RERUN and one.trial
+        }
 
     @property
     def counting(self) -> Mapping[TrialId, TrialId]:
-        """The trial that counts in place of each trial of the competition: itself, or its last repetition."""
-        names = [task.name for task in self.competition.tasks]
+        """The trial that counts in place of each trial of a testing task: itself, or its last repetition.
+
+        There is none while the season is not closed.
+        """
+        names = [] if self.in_season else [task.name for task in self.competition.testing]
         planned = [
             TrialId.of(entrant, task, number)
             for task in names
@@ -73,37 +124,65 @@ class Course:
             ExperimentError: it has other entrants, or other rules than at the start.
         """
         entrants = self.entrants
+        enrolled = {one.subject for one in self.acts if one.act == journal.ENROL}
         named = {one.name for one in competition.entrants}
-        for name in named ^ set(entrants):
+        for name in named ^ (set(entrants) - enrolled):
             raise ExperimentError(
                 f"entrant {name} is not in the run yet: glue-compete add can add it"
                 if name in named
                 else f"entrant {name} takes part in the run: put it back in the competition's file"
             )
-        if _rules(self.competition) != _rules(competition):
-            raise ExperimentError(
-                "the run was begun with other limits, or another number of trials, episodes or steps: put "
-                "those of its competition.toml back, or choose another directory"
-            )
-        known = tuple(replace(one, id=entrants[one.name].id) for one in competition.entrants)
-        return replace(competition, entrants=known)
+        was, now = _rules(self.competition), _rules(competition)
+        for what in was:
+            if was[what] != now[what]:
+                raise ExperimentError(
+                    f"the run was begun with other {what}: put back what its competition.toml has, or choose "
+                    "another directory"
+                )
+        submitted = {one.subject for one in self.acts if one.act == journal.IMAGE}
+        known = {one.name: one for one in competition.entrants if one.name not in submitted}
+        found = (
+            replace(known[name], id=one.id) if name in known else entrant_of(one)
+            for name, one in entrants.items()
+        )
+        return replace(competition, entrants=tuple(found))
 
     def planned(self, spec: TrialSpec) -> bool:
         """Return whether a trial was planned from the start, and not by an act since."""
-        late = self.entrants[spec.id.parts[0]].act == ADD
+        late = self.competition.season is not None or self.entrants[spec.id.parts[0]].act == journal.ADD
         return not late and spec.id not in self.reruns
 
-    def with_reruns(self, specs: Sequence[TrialSpec]) -> list[TrialSpec]:
-        """Return the competition's trials and their repetitions, which have the same levels and seeds.
+    def specs(self, competition: Competition, secret: bytes) -> list[TrialSpec]:
+        """Return the trials that there are: the attempts of a season and, unless it is not closed, the trials
+        of the testing tasks and their repetitions, which have the same levels and seeds.
+
+        Args:
+            competition: as it is now, see `admitted`.
+            secret: its secret seed.
 
         Raises:
+            ConfigError: there is no such environment, or an option is wrong.
             ExperimentError: the journal repeats a trial that there is not.
         """
-        planned = {spec.id: spec for spec in specs}
+        starts = [one for one in self.acts if one.act == journal.START]
+        drawn = levels(competition, secret) if starts else []
+        attempts = [spec for one in starts for spec in attempt_trials(drawn, competition.trials, one)]
+        testing = [] if self.in_season else trials(competition, secret)
+        planned = {spec.id: spec for spec in testing}
         for trial in self.reruns.values():
             if trial not in planned:
                 raise ExperimentError(f"the journal repeats {trial}, which is no trial of the competition")
-        return [*specs, *(replace(planned[trial], id=again) for again, trial in self.reruns.items())]
+        again = [replace(planned[trial], id=repetition) for repetition, trial in self.reruns.items()]
+        return [*attempts, *planned.values(), *again]
+
+    def changes(self, competition: Competition) -> list[Act]:
+        """Return the acts of giving the season the rules that its file has now."""
+        was, now = self.season, competition.season
+        if was is None or now is None or not self.in_season:
+            return []
+        return [
+            act(journal.CHANGE, name, "in the file", value=value) for name, value in changes(was, now).items()
+        ]
 
     def exclusion(self, entrant: str, reason: str) -> Act:
         """Return the act of excluding an entrant.
@@ -115,7 +194,7 @@ class Course:
             raise ExperimentError(f"there is no entrant {entrant}; there are {', '.join(self.entrants)}")
         if entrant in self.excluded:
             raise ExperimentError(f"{entrant} is excluded: {self.excluded[entrant]}")
-        return act(EXCLUDE, entrant, reason)
+        return act(journal.EXCLUDE, entrant, reason)
 
     def repetitions(self, trials: Iterable[str], over: Collection[str], reason: str) -> list[Act]:
         """Return the acts of playing trials of the competition again.
@@ -141,14 +220,27 @@ class Course:
             entrant, task, _ = found.parts
             number = self.competition.trials + sum(one.parts[:2] == (entrant, task) for one in repeated)
             repeated.append(TrialId.of(entrant, task, number))
-            made.append(act(RERUN, trial, reason, trial=str(repeated[-1])))
+            made.append(act(journal.RERUN, trial, reason, trial=str(repeated[-1])))
         return made
 
 
-def _rules(competition: Competition) -> object:
-    """Return the rules that are not part of the trials."""
-    tasks = [(task.name, task.episodes, task.steps, task.pace) for task in competition.tasks]
-    return competition.limits, competition.trials, tasks
+def _rules(competition: Competition) -> dict[str, object]:
+    """Return the rules that are not part of the trials, by their names."""
+    return {
+        "limits": competition.limits,
+        "trials": competition.trials,
+        "tasks": {task.name for task in competition.tasks},
+        "episodes or steps": [(task.name, task.episodes, task.steps) for task in competition.tasks],
+        "rate or late": [(task.name, task.pace) for task in competition.tasks],
+        "phases": [(task.name, task.phase, task.hidden) for task in competition.tasks],
+    }
+
+
+def entrant_of(admitted: Act) -> Entrant:
+    """Return an entrant that enrolled or submitted an image, from the act that admitted it."""
+    if IMAGE_ID.fullmatch(admitted.id):
+        return Entrant(admitted.subject, image=admitted.player, id=admitted.id)
+    return Entrant(admitted.subject, key=Path(admitted.player), id=admitted.id)
 
 
 def course_of(directory: Path) -> Course:

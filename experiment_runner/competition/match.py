@@ -41,6 +41,9 @@ from glue.wire.messages import MAX_BODY, Event, Role
 
 MODULE: Final = "experiment_runner.competition.match"
 
+NOT_CONNECTED: Final = "it did not connect within"
+"""Begin of the reason if an entrant never joins."""
+
 _LOOK_SECONDS: Final = 0.2
 """Maximum delay in noticing the end of an entrant's program."""
 
@@ -54,6 +57,9 @@ _MAX_MEMORY: Final = 4 * MAX_BODY
 """Maximum bytes of messages that a hub keeps: a flood ends connections but does not fill the memory."""
 
 _MAX_REASON: Final = 300
+
+ASK: Final = "tell-time"
+"""Message to an agent at the beginning of a trial; one that answers `yes` is told what time is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,13 +91,28 @@ class Piece(NamedTuple):
     data: bytes
 
 
+class Used(NamedTuple):
+    """What the entrant has used; None for what is unknown, as for a program on another machine.
+
+    `processor` is in seconds, `peak` in bytes of memory; `bank` has the seconds left, which never grow.
+    """
+
+    processor: float | None
+    peak: int | None
+    bank: float | None
+
+
 class Forfeited(NamedTuple):
     """The entrant did not play to the end; `reason` is one readable line."""
 
     reason: str
 
 
-Report = Recorded | Piece | Forfeited | Ended | Lost
+Report = Recorded | Piece | Used | Forfeited | Ended | Lost
+
+
+TimeLeft = Callable[[], tuple[float, float] | None]
+"""Function that returns `TimeBank.left`."""
 
 
 class _Unfinished(ExperimentError):
@@ -135,11 +156,13 @@ def play(
 class _Playing:
     def __init__(self, match: Match, send: Callable[[Report], None], clock: Callable[[], float]) -> None:
         self._match = match
+        self._send = send
         self._clock = clock
         self._record = ActionWriter(lambda data: send(Piece(data)))
         self._environment = RecordedEnvironment(
             made_for(match.spec), self._record, match.spec, lambda result: send(Recorded(result, None))
         )
+        self._running = Running()
         self._joined = threading.Event()
         self._over = threading.Event()
 
@@ -162,23 +185,32 @@ class _Playing:
                 pace=match.spec.pace,
             )
             with ExitStack() as joined:
-                hub = joined.enter_context(Hub(config, clock=self._clock).in_background())
+                hub = joined.enter_context(
+                    Hub(config, clock=self._clock, processor=self._processor).in_background()
+                )
                 self._environment.num_late = partial(hub.sessions.num_late, session)
                 transport = InsideTransport(hub, {Role.ENVIRONMENT: self._environment}, session)
                 glue = joined.enter_context(connect_over(transport, session, on_notice=self._notice))
-                running = starter.start(match.entrant, match.limits, launch)
+                running = self._running = starter.start(match.entrant, match.limits, launch)
                 stack.callback(running.stop)
                 joined.callback(self._over.set)
                 threading.Thread(
                     target=self._watch, args=(running, glue), name="entrant", daemon=True
                 ).start()
-                why = self._play_or_forfeit(glue, running)
+                time_left = partial(hub.sessions.time_left, session)
+                why = self._play_or_forfeit(glue, running, time_left)
+                left = time_left()
             # The hub has said goodbye.
             if why is None:
                 running.wait(_FAREWELL_SECONDS)
-                running.stop()
+            running.stop()
+            if why is None:
                 why = running.offence and f"its program {running.offence}"
+            self._send(Used(running.processor, running.peak, left and left[0]))
             return why
+
+    def _processor(self) -> float | None:
+        return self._running.processor
 
     def _launch(self, scratch: Path, session: str) -> Launch:
         match, folder = self._match, scratch / SHARED
@@ -190,12 +222,12 @@ class _Playing:
             match.log.parent.mkdir(parents=True, exist_ok=True)
         return Launch(folder, session, match.log, match.run)
 
-    def _play_or_forfeit(self, glue: RemoteExperiment, running: Running) -> str | None:
+    def _play_or_forfeit(self, glue: RemoteExperiment, running: Running, time_left: TimeLeft) -> str | None:
         environment = self._environment
         try:
             glue.wait_for_players(lambda missing: None)
             glue.rl_init(agent_seed(self._match.spec))
-            self._episodes(glue)
+            self._episodes(glue, time_left)
             self._record.close()
         except (PeerLost, PeerFailed, HubClosed) as error:
             if environment.failure is not None:
@@ -214,9 +246,12 @@ class _Playing:
             glue.rl_cleanup()
         return None
 
-    def _episodes(self, glue: RemoteExperiment) -> None:
+    def _episodes(self, glue: RemoteExperiment, time_left: TimeLeft) -> None:
         steps, spec, played = self._match.steps, self._match.spec, self._environment
+        asks = glue.rl_agent_message(ASK) == "yes"
         while played.steps < steps if steps else played.episodes < spec.episodes:
+            if asks and (seconds := time_left()) is not None:
+                glue.rl_agent_message("time-left bank={:.3f} total={:.3f}".format(*seconds))
             # RL_num_steps is 1 after the start: this allows all remaining steps.
             left = steps - played.steps + 1 if steps else spec.max_steps
             glue.rl_episode(min(left, spec.max_steps or left))
@@ -234,7 +269,7 @@ class _Playing:
             if running.wait(_LOOK_SECONDS):
                 why = f"its program {running.reason}"
             elif not self._joined.is_set() and self._clock() - began > limit:
-                why = f"it did not connect within {limit:g} s"
+                why = f"{NOT_CONNECTED} {limit:g} s"
             else:
                 continue
             if not self._over.is_set():

@@ -17,17 +17,24 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from datetime import datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from experiment_runner.competition.course import Course, course_of
-from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Piece, Report
+from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Piece
 from experiment_runner.competition.records.journal import ENTER, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
-from experiment_runner.competition.records.seal import add_trials, check_seal, record_outcome, seal
+from experiment_runner.competition.records.seal import (
+    add_trials,
+    check_seal,
+    record_acts,
+    record_outcome,
+    seal,
+)
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
 from experiment_runner.competition.starters import gate_for, name_of_run, starter_for
-from experiment_runner.competition.trials import trials
+from experiment_runner.competition.trials import levels
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Recorded
@@ -52,7 +59,8 @@ def log_path(directory: Path, trial_id: str) -> Path:
 
 
 def open_competition(directory: Path, text: str, competition: Competition, secret: bytes) -> Store:
-    """Return the store of a competition: a new one, or the one in the directory if it is the same.
+    """Return the store of a competition: a new one, or the one in the directory if it is the same. There, a
+    season gets the rules that its file has now.
 
     Args:
         directory: contains the run, or will contain it; only its owner may read it, as it has secret levels.
@@ -69,10 +77,10 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
     if exists:
         course = course_of(directory)
     else:
-        trials(competition, secret)  # a mistake in a task is found before an engine is asked for anything
+        levels(competition, secret)  # a mistake in a task is found before an engine is asked for anything
         acts = admissions(competition, competition.entrants, ENTER, "in the file at the start")
         course = Course(competition, acts)
-    specs = course.with_reruns(trials(course.admitted(competition), secret))
+    specs = course.specs(course.admitted(competition), secret)
     with reported(f"cannot write to {directory}"):
         directory.mkdir(mode=_FOR_ITS_OWNER, parents=True, exist_ok=True)
     with ExitStack() as stack:
@@ -84,30 +92,38 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
             store = stack.enter_context(Store.create(directory, specs, files))
         with reported(f"cannot write to {directory}"):
             directory.chmod(_FOR_ITS_OWNER)
-        recorded = [record.spec for record in store.trials()]
-        known = {spec.id for spec in recorded}
-        new = [spec for spec in specs if spec.id not in known]
-        if [spec for spec in specs if spec.id in known] != recorded or any(map(course.planned, new)):
-            why = _difference(recorded, specs)
-            raise ExperimentError(f"{directory} is the run of another competition: {why}")
         seal(store)
         check_seal(store)
+        recorded = [record.spec for record in store.trials()]
+        known = {spec.id: spec for spec in recorded}
+        new = [spec for spec in specs if spec.id not in known]
+        if {spec.id: spec for spec in specs if spec.id in known} != known or any(map(course.planned, new)):
+            why = _difference(recorded, specs)
+            raise ExperimentError(f"{directory} is the run of another competition: {why}")
         if new:
             add_trials(store, new)
+        if changes := course.changes(competition):
+            record_acts(store, changes)
         store.record_event("resume" if exists else "start", program())
         stack.pop_all()
     return store
 
 
-def admissions(competition: Competition, entrants: Iterable[Entrant], kind: str, reason: str) -> list[Act]:
+def admissions(
+    competition: Competition,
+    entrants: Iterable[Entrant],
+    kind: str,
+    reason: str,
+    now: datetime | None = None,
+) -> list[Act]:
     """Return the acts of admitting entrants, once each can be started.
 
     Raises:
         ConfigError: one cannot; the message names it.
     """
     return [
-        act(kind, entrant.name, reason, player=entrant.player, id=check(entrant, competition.limits))
-        for entrant in entrants
+        act(kind, one.name, reason, now=now, player=one.player, id=check(one, competition.limits))
+        for one in entrants
     ]
 
 
@@ -159,6 +175,11 @@ def hold(store: Store, competition: Competition, workers: int, say: Say, gate: G
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
     course = course_of(store.directory)
+    if course.in_season:
+        raise ExperimentError(
+            f"the season is not over: glue-compete serve goes on with it, and glue-compete close "
+            f"{store.directory} ends it"
+        )
     competition = course.admitted(competition)
     wanted = set(course.trials)
     over = wanted & store.outcomes().keys()
@@ -171,19 +192,25 @@ def hold(store: Store, competition: Competition, workers: int, say: Say, gate: G
                 gate_for(match.entrant, match.gate)
             starter_for(match.entrant).sweep(match.run)
         executor = LocalExecutor(workers, MODULE, REPORTS, warm=[task.env for task in competition.tasks])
-        with _Matches(store, waiting, len(over), say) as played, Interrupts() as interrupts:
+        with _Held(store, waiting, len(over), say) as played, Interrupts() as interrupts:
             Dispatcher(executor, played, interrupts).run(match.spec.id for match in waiting)
     return sum(record.failure is not None for record in store.trials() if record.spec.id in wanted)
 
 
-class _Matches(Closing):
-    """Stores the reports of matches; see `experiment_runner.executors.dispatcher.Collector`."""
+class Matches(Closing):
+    """Makes the jobs of matches and stores their reports; see `experiment_runner.executors.dispatcher`.
 
-    def __init__(self, store: Store, matches: Iterable[Match], over: int, say: Say) -> None:
+    Args:
+        store: of the run.
+        say: shows a line.
+
+    Attributes:
+        matches: by the ids of their trials.
+    """
+
+    def __init__(self, store: Store, say: Say) -> None:
+        self.matches: dict[str, Match] = {}
         self._store = store
-        self._matches: dict[str, Match] = {match.spec.id: match for match in matches}
-        self._over = over
-        self._total = over + len(self._matches)
         self._say = say
         self._records: dict[str, RecordFile] = {}
         self._forfeits: dict[str, str] = {}
@@ -194,21 +221,17 @@ class _Matches(Closing):
             record.close()
 
     def may_start(self, trial_id: str, running: Collection[str]) -> bool:
-        """Return whether a match may start: entrants that join at the same address play one at a time."""
-        joins = self._joins_from_elsewhere
-        return not (joins(trial_id) and any(map(joins, running)))
+        """Return whether a match may start."""
+        return True
 
-    def _joins_from_elsewhere(self, trial_id: str) -> bool:
-        return self._matches[trial_id].entrant.key is not None
-
-    def start(self, trial_id: str) -> Match:
+    def start(self, trial_id: str) -> Any:
         """Return a match, to be played from its beginning."""
         self._store.rewind(trial_id, 0)
         self._records[trial_id] = RecordFile(record_path(self._store.directory, trial_id))
         self._forfeits.pop(trial_id, None)
-        return self._matches[trial_id]
+        return self.matches[trial_id]
 
-    def take(self, trial_id: str, report: Report) -> None:
+    def take(self, trial_id: str, report: Any) -> None:
         """Store a report."""
         match report:
             case Recorded(result):
@@ -235,14 +258,43 @@ class _Matches(Closing):
 
     def end(self, trial_id: str, failure: str | None) -> None:
         """Store the outcome of a match, or its failure."""
-        record = self._records.pop(trial_id)
-        if failure is not None:
-            record.close()
+        if failure is None:
+            self._finish(trial_id)
+        else:
+            self._records.pop(trial_id).close()
             self._store.record_failure(trial_id, failure)
+
+    def _finish(self, trial_id: str) -> TrialEnd:
+        """Store how a match ended, and return it."""
+        outcome = TrialEnd(self._forfeits.pop(trial_id, None), self._records.pop(trial_id).finish())
+        record_outcome(self._store, trial_id, outcome)
+        return outcome
+
+
+class _Held(Matches):
+    """The matches of a competition that is held at once, of which `over` are over."""
+
+    def __init__(self, store: Store, matches: Iterable[Match], over: int, say: Say) -> None:
+        super().__init__(store, say)
+        self.matches = {match.spec.id: match for match in matches}
+        self._over = over
+        self._total = over + len(self.matches)
+
+    def may_start(self, trial_id: str, running: Collection[str]) -> bool:
+        """Return whether a match may start: entrants that join at the same address play one at a time."""
+        joins = self._joins_from_elsewhere
+        return not (joins(trial_id) and any(map(joins, running)))
+
+    def _joins_from_elsewhere(self, trial_id: str) -> bool:
+        return self.matches[trial_id].entrant.key is not None
+
+    def end(self, trial_id: str, failure: str | None) -> None:
+        """Store the outcome of a match, or its failure, and show it."""
+        reason = self._forfeits.get(trial_id)
+        super().end(trial_id, failure)
+        if failure is not None:
             self._say(f"{trial_id} has failed, and is played again when the run is continued: {failure}")
             return
-        reason = self._forfeits.get(trial_id)
-        record_outcome(self._store, trial_id, TrialEnd(reason, record.finish()))
         self._over += 1
         if reason is None:
             totals = self._store.totals(trial_id)

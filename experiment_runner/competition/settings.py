@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal, get_type_hints
+from zoneinfo import ZoneInfo
 
+import msgspec
 from msgspec import Meta
 
 from experiment_runner.plan.toml import SettingError, converted, is_option, naming_lines, parse, read, shown
@@ -19,6 +22,9 @@ from glue.plugins.loading import located
 _MEBIBYTE: Final = 2**20
 
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,63}")
+NAMES: Final = "up to 64 letters, digits and _ . + - are allowed, and the first is a letter, a digit or _"
+"""The names that are allowed, for messages."""
+
 _SIZE: Final = re.compile(r"(\d{1,12})([kmg]?)")
 _UNITS: Final = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30}
 _SIZES: Final = ("memory", "tmp", "shm", "log")
@@ -64,6 +70,8 @@ class Task:
         levels: files of the levels of its trials, the first again after the last; none if a seed is drawn.
         rate: steps per second of an environment that does not wait for its agent; 0 if it does.
         late: what is carried out while the agent is late, see `glue.pace.Pace`.
+        phase: `proving` if it is played in the season, `testing` if afterwards.
+        hidden: whether its scores are told only when the season is closed; of a proving task.
     """
 
     name: str
@@ -75,6 +83,8 @@ class Task:
     levels: tuple[Path, ...] = ()
     rate: float = 0.0
     late: str = REPEAT
+    phase: Literal["proving", "testing"] = "testing"
+    hidden: bool = False
 
     @property
     def pace(self) -> Pace:
@@ -128,6 +138,54 @@ class Gate:
 
 
 @dataclass(frozen=True, slots=True)
+class Season:
+    """The rules of a season, in which entrants come, and play the proving tasks as often as they may.
+
+    Args:
+        opens: from when attempts can be asked for, with its time zone.
+        closes: until when; those that wait then are still played.
+        freeze: from when the public board no longer changes, until it is thawed or closed; None for never.
+        zone: name of the time zone of times without one, and of the days of `attempts_per_day`.
+        attempts_per_day: of each entrant.
+        parallel: number of attempts that are played at once.
+        enrol: `code` for those who know the code, `open` for everybody, `closed` for nobody.
+        code_file: the file of the code; None if it is in an environment variable.
+        code_env: the environment variable of the code; None if it is in a file.
+        count: which attempts count: each entrant's best, its last, or the mean of all.
+        names: whether the public board shows pseudonyms or the entrants' own names.
+        teams: whether entrants may name a team.
+        images: whether entrants may submit images.
+        failures: number of forfeited attempts in a row after which an entrant is paused.
+        most_entrants: number of entrants that can enrol.
+        most_waiting: number of attempts of one entrant that can wait at once.
+        most_bytes: of an image.
+    """
+
+    opens: datetime
+    closes: datetime
+    freeze: datetime | None = None
+    zone: str = "UTC"
+    attempts_per_day: _Count = 5
+    parallel: Annotated[int, Meta(ge=1, le=1000)] = 1
+    enrol: Literal["code", "open", "closed"] = "code"
+    code_file: Path | None = None
+    code_env: str | None = None
+    count: Literal["best", "last", "mean"] = "best"
+    names: Literal["pseudonyms", "own"] = "pseudonyms"
+    teams: bool = False
+    images: bool = False
+    failures: _Count = 3
+    most_entrants: _Count = 1000
+    most_waiting: _Count = 10
+    most_bytes: int = 2048 * _MEBIBYTE
+
+    @property
+    def days(self) -> ZoneInfo:
+        """The time zone `zone`."""
+        return ZoneInfo(self.zone)
+
+
+@dataclass(frozen=True, slots=True)
 class Competition:
     """A competition.
 
@@ -139,6 +197,7 @@ class Competition:
         limits: the same for all.
         seed_file: the file of the secret seed; None if it is in an environment variable.
         seed_env: the environment variable of the secret seed; None if it is in a file.
+        season: in which the proving tasks are played; None if there are none.
     """
 
     name: str = ""
@@ -148,6 +207,17 @@ class Competition:
     limits: Limits = field(default_factory=Limits)
     seed_file: Path | None = None
     seed_env: str | None = None
+    season: Season | None = None
+
+    @property
+    def proving(self) -> tuple[Task, ...]:
+        """The tasks of the season."""
+        return tuple(task for task in self.tasks if task.phase == "proving")
+
+    @property
+    def testing(self) -> tuple[Task, ...]:
+        """The tasks that every entrant plays once, after the season if there is one."""
+        return tuple(task for task in self.tasks if task.phase == "testing")
 
 
 def load_competition(path: Path, *, follow: bool = True) -> Competition:
@@ -182,7 +252,7 @@ def parse_competition(text: str, path: Path) -> Competition:
 
 def _competition(document: Mapping[str, Any], path: Path) -> Competition:
     folder = path.parent
-    own = {**document, "tasks": [], "entrants": [], "limits": {}}
+    own = {**document, "tasks": [], "entrants": [], "limits": {}, "season": None}
     found = converted(Competition, own, "a competition", base=folder)
     if (found.seed_file is None) == (found.seed_env is None):
         raise SettingError(
@@ -190,13 +260,56 @@ def _competition(document: Mapping[str, Any], path: Path) -> Competition:
             'or seed_env = "COMPETITION_SEED"',
             "seed_env",
         )
-    return replace(
+    season = None if "season" not in document else _season(document["season"], folder)
+    entrants = [] if season is not None and "entrants" not in document else _tables(document, "entrants")
+    found = replace(
         found,
         name=found.name or path.stem,
         tasks=tuple(_task(name, table, folder) for name, table in _tables(document, "tasks")),
-        entrants=tuple(_entrant(name, table, folder) for name, table in _tables(document, "entrants")),
+        entrants=tuple(_entrant(name, table, folder) for name, table in entrants),
         limits=_limits(document.get("limits", {})),
+        season=season,
     )
+    if season is not None and all(task.hidden for task in found.proving):
+        raise SettingError(
+            'a season needs a task that is played in it and not hidden: phase = "proving"', "tasks"
+        )
+    if season is None and found.proving:
+        name = found.proving[0].name
+        raise SettingError(
+            "a proving task is played in a season, and there is no table [season]", "tasks", name, "phase"
+        )
+    return found
+
+
+def changes(was: Season, now: Season) -> dict[str, str]:
+    """Return the settings in which two seasons differ, with their new values as JSON.
+
+    The place of the code is none of them: it is no rule, and relative to the file that names it.
+    """
+    return {
+        one.name: msgspec.json.encode(getattr(now, one.name)).decode()
+        for one in fields(Season)
+        if one.name not in ("code_file", "code_env") and getattr(was, one.name) != getattr(now, one.name)
+    }
+
+
+def changed(season: Season, name: str, value: str) -> Season:
+    """Return a season with another value, as JSON, of one setting.
+
+    Raises:
+        ExperimentError: there is no such setting, or it cannot have this value.
+    """
+    hints = get_type_hints(Season, include_extras=True)
+    try:
+        return replace(season, **{name: msgspec.json.decode(value, type=hints[name])})
+    except (KeyError, ValueError, RecursionError):
+        raise ExperimentError(f"a season cannot have {name:.80} = {value:.80}") from None
+
+
+def is_name(text: str) -> bool:
+    """Return whether a task or an entrant can have this name; see `NAMES`."""
+    return _NAME.fullmatch(text) is not None
 
 
 def _tables(document: Mapping[str, Any], kind: str) -> list[tuple[str, Any]]:
@@ -205,14 +318,37 @@ def _tables(document: Mapping[str, Any], kind: str) -> list[tuple[str, Any]]:
     if not isinstance(tables, dict) or not tables:
         raise SettingError(f"a competition needs {kind}, each a table, as in: [{kind}.NAME]", kind)
     for name in tables:
-        if not _NAME.fullmatch(name):
-            raise SettingError(
-                f"{name!r} cannot be a name: up to 64 letters, digits and _ . + - are allowed, and the "
-                "first is a letter, a digit or _",
-                kind,
-                name,
-            )
+        if not is_name(name):
+            raise SettingError(f"{name!r} cannot be a name: {NAMES}", kind, name)
     return list(tables.items())
+
+
+def _season(table: object, folder: Path) -> Season:
+    if isinstance(table, dict) and "most_bytes" in table:
+        table = table | {"most_bytes": _size("most_bytes", table["most_bytes"], "season")}
+    found = converted(Season, table, "[season]", "season", base=folder)
+    try:
+        zone = found.days
+    except (OSError, ValueError, KeyError):
+        raise SettingError(
+            f'zone is the name of a time zone, as in "Europe/Berlin", not {shown(found.zone)}',
+            "season",
+            "zone",
+        ) from None
+    times = {name: getattr(found, name) for name in ("opens", "closes", "freeze")}
+    found = replace(
+        found, **{key: time.replace(tzinfo=time.tzinfo or zone) for key, time in times.items() if time}
+    )
+    if not found.opens <= (found.freeze or found.opens) < found.closes:
+        raise SettingError("a season opens first, may freeze then, and closes", "season", "closes")
+    if found.enrol == "code" and (found.code_file is None) == (found.code_env is None):
+        raise SettingError(
+            'name the code with which entrants enrol, once: code_file = "code.txt" or code_env = "CODE"; or '
+            'let everybody, or nobody: enrol = "open", enrol = "closed"',
+            "season",
+            "enrol",
+        )
+    return found
 
 
 def _task(name: str, table: object, folder: Path) -> Task:
@@ -222,6 +358,8 @@ def _task(name: str, table: object, folder: Path) -> Task:
         task.pace  # noqa: B018  # checks both
     except ConfigError as error:
         raise SettingError(f"task {name}: {error}", *where, *error.settings[:1]) from None
+    if task.hidden and task.phase != "proving":
+        raise SettingError(f"task {name} is played once, so its scores are hidden anyway", *where, "hidden")
     if (task.episodes == 0) == (task.steps == 0):
         raise SettingError(f"task {name} needs its length: episodes = 20, or steps = 100_000", *where)
     for option, value in task.options.items():
@@ -256,13 +394,13 @@ def _limits(table: Any) -> Limits:
         raise SettingError(str(error), "limits", str(error).partition(" ")[0]) from error
 
 
-def _size(key: str, value: object) -> int:
+def _size(key: str, value: object, table: str = "limits") -> int:
     text = str(value) if isinstance(value, str) or (type(value) is int and 0 < value < 2**62) else ""
     match = _SIZE.fullmatch(text.lower())
     size = int(match[1]) * _UNITS[match[2]] if match else 0
     if size < (_LEAST_MEMORY if key == "memory" else 1):
         least = ' of at least "6m"' if key == "memory" else ""
         raise SettingError(
-            f'{key} is a number of bytes{least}, as in: {key} = "512m"; not {shown(value)}', "limits", key
+            f'{key} is a number of bytes{least}, as in: {key} = "512m"; not {shown(value)}', table, key
         )
     return size

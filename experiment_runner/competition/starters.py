@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import resource
 import shutil
 import subprocess
 import threading
@@ -34,6 +35,8 @@ from glue.wire.messages import Role
 
 SOCKET: Final = "hub"
 """Name of the hub's Unix socket in a launch's folder."""
+
+_KIBIBYTE: Final = 1024
 
 _STOP_SECONDS: Final = 5.0
 """Time for a supervisor to end its program."""
@@ -87,6 +90,16 @@ class Running:
     def stop(self) -> None:
         """End the program and its children, and release its resources; may be called twice."""
         self._over.set()
+
+    @property
+    def processor(self) -> float | None:
+        """Seconds that it has used of all processors so far; None if unknown."""
+        return None
+
+    @property
+    def peak(self) -> int | None:
+        """The most bytes of memory that it has used at once; None if unknown."""
+        return None
 
     def _offend(self, how: str) -> None:
         self.offence = how
@@ -192,6 +205,9 @@ class _Program(Running):
     def __init__(self, supervisor: subprocess.Popen[bytes]) -> None:
         super().__init__()
         self._supervisor = supervisor
+        # A worker plays one match at a time.
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        self._before = before.ru_utime + before.ru_stime
 
     def wait(self, seconds: float) -> bool:
         with suppress(subprocess.TimeoutExpired):
@@ -209,6 +225,21 @@ class _Program(Running):
         if not self.wait(_STOP_SECONDS):
             self._supervisor.kill()
             self._supervisor.wait()
+
+    @property
+    def processor(self) -> float | None:
+        """As of any program, once it has ended: the system counts only then."""
+        if self.reason is None:
+            return None
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return used.ru_utime + used.ru_stime - self._before
+
+    @property
+    def peak(self) -> int | None:
+        """As of any program, once it has ended, of its largest process."""
+        if self.reason is None:
+            return None
+        return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _KIBIBYTE
 
 
 class Outside(Starter):

@@ -10,10 +10,12 @@ import hashlib
 import hmac
 import os
 import stat
-from collections.abc import Callable, MutableMapping
-from typing import Final
+from collections.abc import Callable, Iterable, MutableMapping
+from pathlib import Path
+from typing import Final, NamedTuple
 
-from experiment_runner.competition.settings import Competition, Task
+from experiment_runner.competition.records.journal import Act
+from experiment_runner.competition.settings import Competition, Season, Task
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.plan.user_files import with_digests
@@ -53,12 +55,37 @@ def read_secret(
     Raises:
         ConfigError: there is no secret, or it is empty.
     """
-    path = competition.seed_file
+    path, name = competition.seed_file, competition.seed_env
+    return _read("the secret seed", path, name, f"{_HINT} {path or 'FILE'}", variables, warn)
+
+
+def read_code(
+    season: Season, variables: MutableMapping[str, str], warn: Callable[[str], None] = lambda line: None
+) -> str | None:
+    """Return the code with which entrants enrol, as by `read_secret`; None if they need none.
+
+    Raises:
+        ConfigError: there is no code, or it is empty.
+    """
+    if season.enrol != "code":
+        return None
+    how = "write into it what you tell those who may take part"
+    code = _read("the code", season.code_file, season.code_env, how, variables, warn)
+    return code.decode(errors="replace")
+
+
+def _read(
+    what: str,
+    path: Path | None,
+    name: str | None,
+    hint: str,
+    variables: MutableMapping[str, str],
+    warn: Callable[[str], None],
+) -> bytes:
     if path is None:
-        name = competition.seed_env or ""
-        secret, where = variables.pop(name, "").encode(), f"the environment variable {name}"
+        secret, where = variables.pop(name or "", "").encode(), f"the environment variable {name}"
         if not secret:
-            raise ConfigError(f"{where} must hold the secret seed: {name}=... glue-compete ...")
+            raise ConfigError(f"{where} must hold {what}: {name}=... glue-compete ...")
     else:
         where = str(path)
         try:
@@ -67,11 +94,11 @@ def read_secret(
                 mode = os.fstat(file.fileno()).st_mode
         except OSError as error:
             reason = error.strerror or str(error)
-            raise ConfigError(f"cannot read the secret seed {path}: {reason}; {_HINT} {path}") from None
+            raise ConfigError(f"cannot read {what} {path}: {reason}; {hint}") from None
         if mode & (stat.S_IRWXG | stat.S_IRWXO):
-            warn(f"other users can read the secret seed: chmod 600 {path}")
+            warn(f"other users can read {what}: chmod 600 {path}")
     if not secret.strip():
-        raise ConfigError(f"{where} is empty, but it must hold the secret seed; {_HINT} {path or 'FILE'}")
+        raise ConfigError(f"{where} is empty, but it must hold {what}; {hint}")
     return secret.strip()
 
 
@@ -81,33 +108,86 @@ def draw(secret: bytes, *names: str) -> int:
     return int.from_bytes(hmac.digest(secret, message, hashlib.sha256)[:8], "little") >> (64 - _SEED_BITS)
 
 
-def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
-    """Return every trial of a competition, with the levels drawn from its secret.
+class Level(NamedTuple):
+    """What a trial of a task has whoever plays it.
+
+    task, number  of the trial; number from 0
+    environment   with the options that were drawn
+    seed          of the trial
+    """
+
+    task: Task
+    number: int
+    environment: RoleSpec
+    seed: int
+
+    def trial(self, entrant: str, player: str, identity: str, number: int | None = None) -> TrialSpec:
+        """Return the trial for an entrant.
+
+        Args:
+            entrant: its name.
+            player: `Entrant.player`.
+            identity: `Entrant.id`.
+            number: of the trial; None for that of the level.
+        """
+        return TrialSpec(
+            id=TrialId.of(entrant, self.task.name, self.number if number is None else number),
+            agent=RoleSpec(player, {"id": identity} if identity else {}, entrant),
+            environment=self.environment,
+            episodes=self.task.episodes or self.task.steps,  # an episode has at least one step
+            max_steps=self.task.max_steps,
+            seed=self.seed,
+            pace=self.task.pace,
+        )
+
+
+def levels(competition: Competition, secret: bytes) -> list[Level]:
+    """Return the levels of every trial of every task, drawn from the competition's secret.
 
     All entrants play the same level in a trial of a task, and another one in the next trial.
 
     Raises:
         ConfigError: there is no such environment, or an option is wrong.
     """
-    specs = []
-    for task in competition.tasks:
-        for number in range(competition.trials):
-            name = str(number)
-            seed = draw(secret, "trial", task.name, name)
-            environment = _environment(task, draw(secret, _LEVEL_SEED, task.name, name), number)
-            specs += [
-                TrialSpec(
-                    id=TrialId.of(entrant.name, task.name, number),
-                    agent=RoleSpec(entrant.player, {"id": entrant.id} if entrant.id else {}, entrant.name),
-                    environment=environment,
-                    episodes=task.episodes or task.steps,  # an episode has at least one step
-                    max_steps=task.max_steps,
-                    seed=seed,
-                    pace=task.pace,
-                )
-                for entrant in competition.entrants
-            ]
-    return specs
+    return [
+        Level(
+            task,
+            number,
+            _environment(task, draw(secret, _LEVEL_SEED, task.name, str(number)), number),
+            draw(secret, "trial", task.name, str(number)),
+        )
+        for task in competition.tasks
+        for number in range(competition.trials)
+    ]
+
+
+def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
+    """Return every trial of the testing tasks of a competition.
+
+    Raises:
+        ConfigError: as `levels`.
+    """
+    return [
+        level.trial(entrant.name, entrant.player, entrant.id)
+        for level in levels(competition, secret)
+        if level.task.phase == "testing"
+        for entrant in competition.entrants
+    ]
+
+
+def attempt_trials(levels: Iterable[Level], count: int, start: Act) -> list[TrialSpec]:
+    """Return the trials of an attempt: those of every proving task, in the order of the file.
+
+    Args:
+        levels: of the competition.
+        count: number of trials of each task.
+        start: the act that lets the attempt play, with the player and its id.
+    """
+    return [
+        level.trial(start.subject, start.player, start.id, (start.number - 1) * count + level.number)
+        for level in levels
+        if level.task.phase == "proving"
+    ]
 
 
 def public_trial(task: Task, entrant: str, episodes: int, max_steps: int) -> TrialSpec:

@@ -36,6 +36,10 @@ class Executor(AbstractContextManager["Executor"], Protocol):
         """Return reports with the ids of their trials, in order for each trial; wait at most `seconds`."""
         ...
 
+    def cancel(self, trial_id: str) -> None:
+        """End the job of a trial at once; `receive` returns nothing more for it."""
+        ...
+
     def stop(self) -> None:
         """Ask all jobs to end soon: the run is interrupted."""
         ...
@@ -80,13 +84,18 @@ class Dispatcher:
         executor: runs the jobs.
         collector: makes the jobs, and stores their reports.
         interrupts: gives jobs time to end before Ctrl-C takes effect.
+
+    Attributes:
+        running: ids of the trials whose jobs run.
     """
 
     def __init__(self, executor: Executor, collector: Collector, interrupts: Interrupts) -> None:
         self._executor = executor
         self._collector = collector
         self._interrupts = interrupts
+        self.running: set[str] = set()
         self._waiting: deque[str] = deque()
+        self._stopped = False
         self._losses: dict[str, tuple[int, int]] = {}
         """The progress of each lost trial, and the number of its losses without further progress."""
 
@@ -98,30 +107,54 @@ class Dispatcher:
             ExperimentError: the executor cannot run anything.
             KeyboardInterrupt: on Ctrl-C or SIGTERM.
         """
-        executor, collector = self._executor, self._collector
         self._waiting.extend(trial_ids)
-        running: set[str] = set()
-        stopped = False
-        with executor, self._interrupts.deferred():
-            while running or (self._waiting and not stopped):
-                while not stopped and (trial_id := self._next(running)) is not None:
-                    running.add(trial_id)
-                    executor.start(collector.start(trial_id))
-                for trial_id, report in executor.receive(_WAIT_SECONDS):
-                    match report:
-                        case Ended(failure):
-                            running.remove(trial_id)
-                            collector.end(trial_id, failure)
-                        case Lost(why):
-                            running.remove(trial_id)
-                            if not stopped:  # otherwise the job was asked to stop
-                                self._lose(trial_id, why)
-                        case _:
-                            collector.take(trial_id, report)
-                collector.commit()
-                if self._interrupts.requested and not stopped:
-                    stopped = True
-                    executor.stop()
+        with self._executor, self._interrupts.deferred():
+            while self.turn(_WAIT_SECONDS):
+                pass
+
+    def add(self, trial_id: str) -> None:
+        """Let a trial wait for its start."""
+        self._waiting.append(trial_id)
+
+    def cancel(self, trial_id: str) -> None:
+        """Forget a trial that waits or runs."""
+        if trial_id in self.running:
+            self.running.remove(trial_id)
+            self._executor.cancel(trial_id)
+        elif trial_id in self._waiting:
+            self._waiting.remove(trial_id)
+
+    def turn(self, seconds: float) -> bool:
+        """Start the trials that may start, and pass on the reports that come within `seconds`, inside the
+        executor's context; return whether there is anything left to do.
+
+        Raises:
+            StorageError: a report cannot be stored.
+            ExperimentError: the executor cannot run anything.
+        """
+        executor, collector, running = self._executor, self._collector, self.running
+        while not self._stopped and (trial_id := self._next(running)) is not None:
+            running.add(trial_id)
+            executor.start(collector.start(trial_id))
+        for trial_id, report in executor.receive(seconds) if running else ():
+            if trial_id not in running:  # cancelled meanwhile
+                continue
+            match report:
+                case Ended(failure):
+                    running.remove(trial_id)
+                    self._losses.pop(trial_id, None)
+                    collector.end(trial_id, failure)
+                case Lost(why):
+                    running.remove(trial_id)
+                    if not self._stopped:  # otherwise the job was asked to stop
+                        self._lose(trial_id, why)
+                case _:
+                    collector.take(trial_id, report)
+        collector.commit()
+        if self._interrupts.requested and not self._stopped:
+            self._stopped = True
+            executor.stop()
+        return bool(running or (self._waiting and not self._stopped))
 
     def _next(self, running: Collection[str]) -> str | None:
         """Remove and return the first trial that may start now; None if there is none."""
@@ -138,6 +171,7 @@ class Dispatcher:
         count = 1 if progress > furthest else count + 1
         self._losses[trial_id] = (max(progress, furthest), count)
         if count == _MAX_LOSSES:
+            del self._losses[trial_id]
             self._collector.end(trial_id, f"{why}, {count} times without progress")
         elif self._collector.starts_again(trial_id):
             self._waiting.appendleft(trial_id)

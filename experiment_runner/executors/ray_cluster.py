@@ -15,7 +15,7 @@ import logging
 import re
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any, Final, Self
@@ -23,9 +23,7 @@ from typing import Any, Final, Self
 from experiment_runner.executors.job import (
     REPORTS,
     Ended,
-    Job,
     Lost,
-    Report,
     decode,
     decode_job,
     encode,
@@ -39,33 +37,50 @@ _CONNECT_SECONDS: Final = 5.0
 _ADDRESS: Final = re.compile(r"(?P<host>.+):(?P<port>\d{1,5})")
 
 
+Work = Callable[[Any, Callable[[object], None]], None]
+
+
+def _trial(value: Any, send: Callable[[object], None]) -> None:
+    run_job(decode_job(value), send)
+
+
 class RayExecutor:
     """Executor on the processors of a cluster; see `experiment_runner.executors.dispatcher.Executor`.
 
     Args:
         address: the address of the cluster; None for the one that Ray finds, or else one on this machine.
         size: maximum number of concurrent trials; None for the cluster's number of processors at the start.
+        work: called in a worker with the value of an encoded job, and a function that sends a report.
+        reports: types of its reports by name.
 
     Raises:
         ConfigError: Ray is not installed.
     """
 
-    def __init__(self, address: str | None, size: int | None) -> None:
+    def __init__(
+        self,
+        address: str | None,
+        size: int | None,
+        work: Work = _trial,
+        reports: Mapping[str, type[Any]] = REPORTS,
+    ) -> None:
         self._ray = _import_ray()
+        self._work = work
+        self._reports = reports
         self._address = address
         self._asked = size
         self._running: dict[Any, str] = {}
         self.size: int = 0
 
-    def start(self, job: Job) -> None:
+    def start(self, job: Any) -> None:
         """Run a trial as a task that uses one processor."""
         task = self._ray.remote(num_cpus=1, max_retries=0)(_run)
-        self._running[task.remote(encode(job))] = job.spec.id
+        self._running[task.remote(encode(job), self._work)] = job.spec.id
 
-    def receive(self, seconds: float) -> list[tuple[str, Report]]:
+    def receive(self, seconds: float) -> list[tuple[str, Any]]:
         """Return reports with the ids of their trials; wait at most `seconds`."""
         ready, _ = self._ray.wait(list(self._running), num_returns=1, timeout=seconds)
-        received: list[tuple[str, Report]] = []
+        received: list[tuple[str, Any]] = []
         for stream in ready:
             trial_id = self._running[stream]
             reports = self._read(stream)
@@ -74,17 +89,23 @@ class RayExecutor:
                 del self._running[stream]
         return received
 
+    def cancel(self, trial_id: str) -> None:
+        """Kill the Ray worker of a trial."""
+        for stream in [stream for stream, running in self._running.items() if running == trial_id]:
+            del self._running[stream]
+            self._cancel(stream)
+
     def stop(self) -> None:
         """Do nothing: trials are not given time to end, and will continue from their newest checkpoints."""
 
-    def _read(self, stream: Any) -> list[Report]:
+    def _read(self, stream: Any) -> list[Any]:
         try:
             data: bytes = self._ray.get(next(stream))
         except (self._ray.exceptions.RayError, StopIteration) as error:
             self._cancel(stream)  # in case it is still running
             why = str(error).strip().partition("\n")[0]
             return [Lost(f"its Ray worker was lost: {type(error).__name__}: {why}")]
-        return [decode(value, REPORTS) for value in unpack(data)]
+        return [decode(value, self._reports) for value in unpack(data)]
 
     def _cancel(self, stream: Any) -> None:
         with contextlib.suppress(self._ray.exceptions.RayError):
@@ -107,14 +128,14 @@ class RayExecutor:
         self._ray.shutdown()
 
 
-def _run(data: bytes) -> Iterator[bytes]:
-    """Run the trial of an encoded job in a Ray worker, yielding its encoded reports in batches.
+def _run(data: bytes, work: Work) -> Iterator[bytes]:
+    """Do the work of an encoded job in a Ray worker, yielding its encoded reports in batches.
 
-    The trial runs in a thread, so that Ray creates at most ten objects per second, not one per episode.
+    It is done in a thread, so that Ray creates at most ten objects per second, not one per episode.
     """
-    [job] = map(decode_job, unpack(data))
-    reports: SimpleQueue[Report] = SimpleQueue()
-    Thread(target=run_job, args=(job, reports.put), daemon=True).start()
+    [value] = unpack(data)
+    reports: SimpleQueue[object] = SimpleQueue()
+    Thread(target=work, args=(value, reports.put), daemon=True).start()
     ended = False
     while not ended:
         batch = [reports.get()]

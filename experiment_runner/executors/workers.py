@@ -105,6 +105,13 @@ class LocalExecutor:
         self._leaving = [process for process in self._leaving if not has_ended(process)]
         return received
 
+    def cancel(self, trial_id: str) -> None:
+        """Kill the worker of a trial."""
+        for descriptor, worker in list(self._workers.items()):
+            if worker.trial_id == trial_id:
+                worker.process.kill()
+                self._forget(descriptor)
+
     def stop(self) -> None:
         """Ask the workers to end soon, with a checkpoint if the running episode ends in time."""
         self._stopping = True

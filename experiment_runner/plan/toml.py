@@ -29,6 +29,7 @@ _WORDS: Final = {
     "`float`": "a number",
     "`str`": "a string",
     "`bool`": "true or false",
+    "`datetime`": "a time, as in 2026-12-01T09:00:00",
     "`array`": 'a list, as in ["one", "two"]',
     "`object`": "a table, as in { name = 1 }",
 }

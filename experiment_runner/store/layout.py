@@ -28,6 +28,10 @@ COMPETITION_FILE: Final = "competition.toml"
 SOURCES: Final = "sources"  # a folder: copies of the user's files that the plan loads
 JOURNAL_FILE: Final = "journal.jsonl"  # of a competition's run: the acts of its organiser
 SEAL_FILE: Final = "seal.json"  # of a competition's run: digests of what its board shows
+TOKEN_FILE: Final = (
+    "page.token"  # of a season's run: the secret with which its page shows all to the organiser
+)
+BOARD_FILE: Final = "board.json"  # of a bundle of a competition: its boards
 NOTES_FILE: Final = "notes.json"  # a note and tags, which the page of runs takes
 RECORDS: Final = "records"  # a folder of a competition's run: recordings of its trials
 LOGS: Final = "logs"  # likewise: output of the entrants
@@ -36,8 +40,8 @@ STREAMS: Final = "streams"  # a folder: the progress of loggers, and TensorBoard
 
 _FILES: Final = (
     *DATABASE_FILES,
-    *(PLAN_FILE, COMPETITION_FILE, JOURNAL_FILE, SEAL_FILE, ABOUT_FILE, NOTES_FILE),
-    *(HUBS_FILE, LOCK_FILE),
+    *(PLAN_FILE, COMPETITION_FILE, JOURNAL_FILE, SEAL_FILE, BOARD_FILE, ABOUT_FILE, NOTES_FILE),
+    *(TOKEN_FILE, HUBS_FILE, LOCK_FILE),
 )
 """Files of a run, in the order of their removal: without the first, the rest does not count as a run."""
 

@@ -269,10 +269,16 @@ class Results(Closing):
             tuple[str, bytes, str | None, float | None],
             "SELECT id, digest, problem, score FROM verdicts JOIN trials ON key = trial",
         )
-        return {
-            trial_id: ReplayVerdict(digest, problem, math.nan if score is None else score)
-            for trial_id, digest, problem, score in rows
-        }
+        return {row[0]: _verdict(*row[1:]) for row in rows}
+
+    def verdict(self, trial_id: str) -> ReplayVerdict | None:
+        """Return the result of replaying a trial of a competition; None if it was not replayed."""
+        rows = self._rows(
+            tuple[bytes, str | None, float | None],
+            f"SELECT digest, problem, score FROM verdicts WHERE {_OF_TRIAL}",
+            trial_id,
+        )
+        return _verdict(*rows[0]) if rows else None
 
     def _answers(self, which: str, *values: object) -> list[Answered]:
         return self._rows(
@@ -324,3 +330,7 @@ class Results(Closing):
 
     def _damaged(self, what: str) -> ExperimentError:
         return ExperimentError(f"cannot read {self.directory}: results.sqlite is damaged: {what}")
+
+
+def _verdict(digest: bytes, problem: str | None, score: float | None) -> ReplayVerdict:
+    return ReplayVerdict(digest, problem, math.nan if score is None else score)

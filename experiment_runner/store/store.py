@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
+import sqlite3
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +25,15 @@ from pathlib import Path
 from typing import Final, Self
 
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from experiment_runner.store.database import KEPT, Database, holds_run, open_to_write, reported, transaction
+from experiment_runner.store.database import (
+    DATABASE_FILES,
+    KEPT,
+    Database,
+    holds_run,
+    open_to_write,
+    reported,
+    transaction,
+)
 from experiment_runner.store.layout import check_links, new_run, write_flushed
 from experiment_runner.store.lock import RunLock
 from experiment_runner.store.readings import Block
@@ -38,6 +48,7 @@ from experiment_runner.store.records import (
 )
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
+from glue.files import open_regular
 
 _PUT_TRIAL: Final = """INSERT INTO trials
     (id, agent, environment, episodes, max_steps, seed, steps, rate, late, delay)
@@ -203,6 +214,7 @@ class Store(Results):
 
     def extend(self, trials: Sequence[TrialSpec]) -> None:
         """Commit the trials of a longer plan: new ones are added, the others get the plan's length."""
+        added: dict[str, int] = {}
         with self._writing(), transaction(self._connection):
             for spec in trials:
                 if spec.id in self._keys:
@@ -212,8 +224,9 @@ class Store(Results):
                     )
                 else:
                     self._connection.execute(_PUT_TRIAL, _trial_row(spec))
-        self._keys.update(self._query("SELECT id, key FROM trials"))
-        self._done = {trial_id: self._done.get(trial_id, 0) for trial_id in self._keys}
+                    ((added[spec.id],),) = self._query("SELECT last_insert_rowid()")
+        self._keys |= added
+        self._done |= dict.fromkeys(added, 0)
 
     def record_void(self, trial_id: str, episode: int, why: str) -> None:
         """Commit that an attempt at an episode does not count."""
@@ -303,6 +316,19 @@ class Store(Results):
             write(_PUT_OUTCOME, [(key, *outcome)] if outcome else [])
             write(_PUT_VERDICT, [(key, *verdict)] if verdict else [])
         self._done[as_id] = len(episodes)
+
+    def copy_to(self, folder: Path) -> None:
+        """Write a copy of the database, flushed to the disk, into a folder that has none.
+
+        Raises:
+            ExperimentError: it cannot be written.
+        """
+        path = folder / DATABASE_FILES[0]
+        with reported(f"cannot write {path}"):
+            with contextlib.closing(sqlite3.connect(path)) as copy:
+                self._connection.backup(copy)
+            with open_regular(path) as file:
+                os.fsync(file.fileno())
 
     def done(self, trial_id: str) -> int:
         """Return the number of recorded episodes of a trial."""

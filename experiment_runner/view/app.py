@@ -7,7 +7,7 @@ to a path on the disk.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +28,7 @@ from experiment_runner.view.catalog import (
     write_notes,
 )
 from experiment_runner.view.curves import curves, drawn, wanted_by
-from experiment_runner.view.guard import WRITABLE, Address, Guard
+from experiment_runner.view.guard import WRITABLE, Address, Guard, Locked
 from experiment_runner.view.live import Live
 from experiment_runner.view.reader import Cache, Reader, json_response
 from experiment_runner.view.stream import Pulse
@@ -68,13 +68,34 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
         "live": Live(catalog, pulse).open,
     }
     routes = [
-        *_file_routes(),
+        Route("/", static_file("index.html")),
+        *file_routes(),
         *stream.routes(pulse, sources),
         *_run_routes(catalog, read),
         *episodes.routes(catalog, Reader("recordings")),  # a thread of their own, as they can be long
     ]
-    handlers = dict.fromkeys((GlueError, KeyError, HTTPException), _error)
-    return Guard(Starlette(routes=routes, exception_handlers=handlers), address, token)
+    return Locked(application(routes, "run"), address, token)
+
+
+def application(routes: Sequence[BaseRoute], thing: str) -> Starlette:
+    """Return an application that answers every error in JSON.
+
+    Args:
+        routes: of it.
+        thing: what a `KeyError` of a route was looking for.
+    """
+
+    async def failed(request: Request, error: Exception) -> Response:
+        match error:
+            case KeyError():
+                return json_response({"error": f"there is no such {thing}"}, 404)
+            case HTTPException():
+                return json_response({"error": error.detail}, error.status_code, error.headers)
+        return json_response({"error": str(error)}, 422)
+
+    return Starlette(
+        routes=routes, exception_handlers=dict.fromkeys((GlueError, KeyError, HTTPException), failed)
+    )
 
 
 def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
@@ -117,13 +138,24 @@ def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
     ]
 
 
-def _file_routes() -> list[BaseRoute]:
-    """Return a route for each file of `static/`, for the page itself, and for the drawings.
+def static_files() -> list[str]:
+    """Return the names of all files of `static/`, relative to it."""
+    return [
+        path.relative_to(_FOLDER).as_posix() for path in sorted(_FOLDER.rglob("*")) if path.suffix in _TYPES
+    ]
+
+
+def static_content(name: str) -> bytes:
+    """Return the content of a file of `static/`."""
+    return (_FOLDER / name).read_bytes()
+
+
+def file_routes() -> list[BaseRoute]:
+    """Return a route for each file of `static/`, and for the drawings.
 
     `/api/drawings` lists the drawings as JSON: `name`, and `problem` if it cannot be loaded. Their files are
     `/drawings/NAME/FILE`.
     """
-    found = [path for path in sorted(_FOLDER.rglob("*")) if path.suffix in _TYPES]
     drawings, problems = _drawings()
     listed = [{"name": name, "problem": problems.get(name)} for name in sorted(drawings | problems)]
 
@@ -137,18 +169,18 @@ def _file_routes() -> list[BaseRoute]:
         return _response(file, _content(name, drawings[name][file]))
 
     return [
-        Route("/", _serve(_FOLDER / "index.html")),
-        *(Route(f"/static/{path.relative_to(_FOLDER).as_posix()}", _serve(path)) for path in found),
+        *(Route(f"/static/{name}", static_file(name)) for name in static_files()),
         Route("/api/drawings", listing),
         Route("/drawings/{name}/{file}", drawing),
     ]
 
 
-def _serve(path: Path) -> object:
-    content = path.read_bytes()
+def static_file(name: str) -> Callable[[Request], Awaitable[Response]]:
+    """Return an endpoint that answers with a file of `static/`."""
+    content = static_content(name)
 
     async def endpoint(request: Request) -> Response:
-        return _response(path.name, content)
+        return _response(name, content)
 
     return endpoint
 
@@ -176,12 +208,3 @@ def _content(name: str, read: Callable[[], bytes]) -> bytes:
         raise
     except Exception as error:
         raise ConfigError(f"the drawing {name} failed: {type(error).__name__}: {error}") from error
-
-
-async def _error(request: Request, error: Exception) -> Response:
-    match error:
-        case KeyError():
-            return json_response({"error": "there is no such run"}, 404)
-        case HTTPException():
-            return json_response({"error": error.detail}, error.status_code)
-    return json_response({"error": str(error)}, 422)

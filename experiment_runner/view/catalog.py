@@ -374,10 +374,11 @@ def _some(names: Sequence[str]) -> list[str]:
 def _signs(directory: Path) -> tuple[object, ...]:
     """Return a value that differs when a run has changed, at the price of a few system calls."""
     names = (*DATABASE_FILES[:2], NOTES_FILE)
-    return (lock_holder(directory), *(_version(directory / name) for name in names))
+    return (lock_holder(directory), *(version(directory / name) for name in names))
 
 
-def _version(path: Path) -> tuple[int, int] | None:
+def version(path: Path) -> tuple[int, int] | None:
+    """Return a value that differs when a file has changed; None if it cannot be seen."""
     try:
         status = path.stat()
     except OSError:

@@ -66,7 +66,7 @@ def routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
             raise HTTPException(404, "there is no such episode")
         name, count = wanted[1] or "", int(wanted[2])
         return Response(
-            await read(lambda: _packed(directory, name, count)), media_type="application/octet-stream"
+            await read(lambda: _found_episode(directory, name, count)), media_type="application/octet-stream"
         )
 
     cache = Cache()
@@ -139,12 +139,12 @@ def _listed(name: str, path: Path, cache: Cache) -> dict[str, Any]:
         status = path.lstat()
     except OSError as error:
         return {"id": name, "name": path.name, "episodes": [], "error": str(error.strerror)}
-    found: dict[str, Any] = cache.get(path, (status.st_mtime_ns, status.st_size), lambda: _episodes(path))
+    found: dict[str, Any] = cache.get(path, (status.st_mtime_ns, status.st_size), lambda: episodes_in(path))
     return {"id": name, "name": path.name, **found}
 
 
-def _episodes(path: Path) -> dict[str, Any]:
-    """Return the episodes of a recording: number of steps, return and ending of each."""
+def episodes_in(path: Path) -> dict[str, Any]:
+    """Return the episodes of a recording as JSON: number of steps, return and ending of each."""
     found: list[tuple[int, float | str, str]] = []
     steps = 0
     more = False
@@ -161,22 +161,36 @@ def _episodes(path: Path) -> dict[str, Any]:
     return {"episodes": found, "more": more, "error": error}
 
 
-def _packed(directory: Path, name: str, wanted: int) -> bytes:
+def _found_episode(directory: Path, name: str, wanted: int) -> bytes:
     path = _found(directory).get(name)
     if path is None:
         raise HTTPException(404, "there is no such recording")
     for count, episode in enumerate(TrajectoryReader(path), 1):
         if count == wanted:
-            return b"".join(_pieces(path, count, episode))
+            return packed(path.name, count, episode)
     raise HTTPException(404, f"the recording has no episode {wanted}")
 
 
-def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
+def packed(recording: str, count: int, episode: Episode) -> bytes:
+    """Return an episode as the page plays it: see `routes`.
+
+    Args:
+        recording: its name, for display.
+        count: the number of the episode in it, from 1.
+        episode: with its observations.
+
+    Raises:
+        ExperimentError: it has none, or is too long for the page.
+    """
+    return b"".join(_pieces(recording, count, episode))
+
+
+def _pieces(recording: str, count: int, episode: Episode) -> Iterator[bytes]:
     if episode.start is None:
-        raise ExperimentError(f"{path.name} has no observations: glue-replay shows it with its environment")
+        raise ExperimentError(f"{recording} has no observations: glue-replay shows it with its environment")
     size = len(episode.steps)
     header: Mapping[str, Any] = {
-        "recording": path.name,
+        "recording": recording,
         "episode": count,
         "steps": size,
         "ending": episode.ending.value,
@@ -194,7 +208,7 @@ def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
         sent += len(piece)
         if size > _MOST_SENT_STEPS or sent > _MOST_SENT_BYTES:
             raise ExperimentError(
-                f"episode {count} of {path.name} has {size} steps: the page shows at most "
+                f"episode {count} of {recording} has {size} steps: the page shows at most "
                 f"{_MOST_SENT_STEPS} steps and {_MOST_SENT_BYTES >> 20} MiB of an episode: use glue-replay"
             )
         yield piece

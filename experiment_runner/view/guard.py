@@ -38,7 +38,9 @@ HEADERS: Final = {
 }
 """Headers of every response."""
 
-_METHODS: Final = ("GET", "HEAD")
+READING: Final = ("GET", "HEAD")
+"""Methods that change nothing."""
+
 WRITABLE: Final = "/api/notes/"
 """Prefix of paths to which a page may write: the notes of a run."""
 
@@ -86,20 +88,16 @@ class Address:
 
 
 class Guard:
-    """Passes to `app` the requests that address and token allow, and adds `HEADERS` to every response.
+    """Passes to `app` the requests that `address` and `refusal` allow, and adds `HEADERS` to every response.
 
     Args:
         app: the guarded application.
         address: names by which it may be addressed.
-        token: secret that opens it, as `?token=...` of its first page.
     """
 
-    def __init__(self, app: ASGIApp, address: Address, token: str) -> None:
+    def __init__(self, app: ASGIApp, address: Address) -> None:
         self._app = app
         self._address = address
-        self._token = token
-        self._cookie = f"glue-view-{address.port}"  # cookies do not distinguish ports
-        self._session = secrets.token_urlsafe(32)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -116,14 +114,26 @@ class Guard:
                 message["headers"] = headers.raw
             await send(message)
 
-        refusal = self._refusal(Request(scope))
-        if refusal is None and (admit := scope.get("state", {}).get(ADMIT)):
-            admit()
-        await (refusal or self._app)(scope, receive, send_guarded)
+        request = Request(scope)
+        refused = self._foreign(request.headers) or self.refusal(request)
+        await (refused or self._app)(scope, receive, send_guarded)
 
-    def _refusal(self, request: Request) -> Response | None:
-        """Return the refusal of a request; None if it may pass."""
-        headers = request.headers
+    def refusal(self, request: Request) -> Response | None:
+        """Return the refusal of a request that is not foreign; None if it may pass."""
+        raise NotImplementedError
+
+    def admit(self, request: Request) -> None:
+        """Keep the connection of a request from now on: whoever sent it has shown who they are."""
+        if admit := request.scope.get("state", {}).get(ADMIT):
+            admit()
+
+    def logged_in(self, cookie: str, value: str) -> Response:
+        """Return the response to a token, which leaves the address: a cookie, and the page without it."""
+        response = RedirectResponse("./", 303)
+        response.set_cookie(cookie, value, httponly=True, samesite="strict", secure=self._address.secure)
+        return response
+
+    def _foreign(self, headers: Headers) -> Response | None:
         if not all(map(self._address.knows_host, headers.getlist("host") or [""])):
             return PlainTextResponse("This Host is not one by which the page may be called.", 403)
         foreign = (
@@ -131,28 +141,46 @@ class Guard:
         )
         if foreign or not all(map(self._address.knows_origin, headers.getlist("origin"))):
             return PlainTextResponse("The page is not open to other sites.", 403)
-        writes = request.method == "PUT" and request.url.path.startswith(WRITABLE)
-        if writes and not headers.getlist("origin"):
-            return PlainTextResponse("Only the page itself may write.", 403)
-        if request.method not in _METHODS and not writes:
-            return PlainTextResponse("Only notes can be written.", 405, {"Allow": ", ".join(_METHODS)})
-        token = request.query_params.get("token")
-        if request.url.path == "/" and token is not None and _equal(token, self._token):
-            response = RedirectResponse("./", 303)
-            response.set_cookie(
-                self._cookie, self._session, httponly=True, samesite="strict", secure=self._address.secure
-            )
-            return response
-        if not _equal(self._sent_cookie(headers), self._session):
-            return PlainTextResponse(_LOCKED, 403)
         return None
 
-    def _sent_cookie(self, headers: Headers) -> str:
-        try:
-            sent = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            return ""
-        return sent[self._cookie].value if self._cookie in sent else ""
+
+class Locked(Guard):
+    """Opens everything to whoever has the token, and nothing to anyone else.
+
+    Args:
+        app, address: as for `Guard`.
+        token: secret that opens it, as `?token=...` of its first page.
+    """
+
+    def __init__(self, app: ASGIApp, address: Address, token: str) -> None:
+        super().__init__(app, address)
+        self._token = token
+        self._cookie = f"glue-view-{address.port}"  # cookies do not distinguish ports
+        self._session = secrets.token_urlsafe(32)
+
+    def refusal(self, request: Request) -> Response | None:
+        """Return the refusal of a request without the cookie, or that writes more than notes."""
+        writes = request.method == "PUT" and request.url.path.startswith(WRITABLE)
+        if writes and not request.headers.getlist("origin"):
+            return PlainTextResponse("Only the page itself may write.", 403)
+        if request.method not in READING and not writes:
+            return PlainTextResponse("Only notes can be written.", 405, {"Allow": ", ".join(READING)})
+        token = request.query_params.get("token")
+        if request.url.path == "/" and token is not None and _equal(token, self._token):
+            return self.logged_in(self._cookie, self._session)
+        if not _equal(cookie_of(request, self._cookie), self._session):
+            return PlainTextResponse(_LOCKED, 403)
+        self.admit(request)
+        return None
+
+
+def cookie_of(request: Request, name: str) -> str:
+    """Return the value of a cookie; empty if the request has none."""
+    try:
+        sent = SimpleCookie(request.headers.get("cookie", ""))
+    except CookieError:
+        return ""
+    return sent[name].value if name in sent else ""
 
 
 def _equal(sent: str, expected: str) -> bool:

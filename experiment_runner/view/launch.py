@@ -7,6 +7,7 @@ run down nor break it. That process ends with the one that started it.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import shlex
 from collections.abc import Callable, Iterator
@@ -20,15 +21,18 @@ COMMAND: Final = "view"
 _STANDARD_STREAMS: Final = (0, 1, 2)
 
 
-def check_view() -> None:
+def check_view(setting: str = "view") -> None:
     """Check, before anything is written, that the page can be served.
+
+    Args:
+        setting: that asks for it.
 
     Raises:
         ConfigError: Starlette or uvicorn is not installed.
     """
     if any(find_spec(name) is None for name in ("starlette", "uvicorn")):
         raise ConfigError(
-            "the page needs Starlette and uvicorn: pip install 'glue-rl[web]'", settings=("view",)
+            "the page needs Starlette and uvicorn: pip install 'glue-rl[web]'", settings=(setting,)
         )
 
 
@@ -57,3 +61,41 @@ def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
     finally:
         process.kill()  # it only reads, so nothing is lost
         children.end(process)
+
+
+@contextlib.contextmanager
+def season_viewed(
+    directory: Path,
+    *,
+    page: str,
+    proxy: str = "",
+    insecure: bool = False,
+    publish: Path | None = None,
+    say: Callable[[str], None],
+) -> Iterator[None]:
+    """Show a season on its page until the context ends; the page is started again whenever it is killed.
+
+    Args:
+        directory: of the season.
+        page, proxy, insecure, publish: see `glue-compete page`.
+        say: shows a line; called from any thread.
+
+    Raises:
+        ExperimentError: the page's process cannot be started.
+    """
+    from experiment_runner.processes.children import KeptAlive
+
+    arguments = ["page", str(directory), "--page", page]
+    arguments += ["--proxy", proxy] if proxy else []
+    arguments += ["--insecure"] if insecure else []
+    arguments += ["--publish", str(publish)] if publish is not None else []
+    with KeptAlive(
+        "page of the season",
+        "compete",
+        arguments,
+        say=say,
+        progress=itertools.count().__next__,  # it may be killed any number of times in weeks
+        give_up=lambda why: say(f"{why}: glue-compete page {shlex.quote(str(directory))} starts it again"),
+        dismissed=False,
+    ):
+        yield

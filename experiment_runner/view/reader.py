@@ -8,7 +8,7 @@ import queue
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from concurrent.futures import Future
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -20,7 +20,7 @@ _T = TypeVar("_T")
 
 _MOST_ANSWERS: Final = 32
 _REST: Final = 20
-"""Multiple of its computing time for which an answer is kept: computing takes at most 5 % of a core."""
+"""Usual multiple of its computing time for which an answer is kept: computing takes at most 5 % of a core."""
 
 
 class Reader:
@@ -60,9 +60,16 @@ class _Answer(NamedTuple):
 
 
 class Cache:
-    """Cache of the newest answers, by question."""
+    """Cache of the newest answers, by question.
 
-    def __init__(self) -> None:
+    Args:
+        most: number of answers that are kept.
+        rest: multiple of its computing time for which an answer is kept at least.
+    """
+
+    def __init__(self, most: int = _MOST_ANSWERS, rest: int = _REST) -> None:
+        self._most = most
+        self._rest = rest
         self._answers: OrderedDict[Hashable, _Answer] = OrderedDict()
 
     def get(self, question: Hashable, signs: object, compute: Callable[[], Any]) -> Any:
@@ -72,8 +79,8 @@ class Cache:
         if found is None or (found.signs != signs and now >= found.until):
             value = compute()
             done = time.monotonic()
-            found = self._answers[question] = _Answer(signs, done + _REST * (done - now), value)
-            if len(self._answers) > _MOST_ANSWERS:
+            found = self._answers[question] = _Answer(signs, done + self._rest * (done - now), value)
+            if len(self._answers) > self._most:
                 self._answers.popitem(last=False)
         self._answers.move_to_end(question)
         return found.value
@@ -84,9 +91,9 @@ def as_json(content: object) -> str:
     return json.dumps(_shown(content), allow_nan=False, separators=(",", ":"))
 
 
-def json_response(content: object, status: int = 200) -> Response:
+def json_response(content: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
     """Return a response in JSON."""
-    return Response(as_json(content), status, media_type="application/json")
+    return Response(as_json(content), status, headers, media_type="application/json")
 
 
 def _shown(value: object) -> object:

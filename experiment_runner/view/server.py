@@ -14,15 +14,15 @@ import resource
 import secrets
 import socket
 import sys
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 import uvicorn
+from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import Server
 
-from experiment_runner.view.app import page
 from experiment_runner.view.guard import ADMIT, Address
 from experiment_runner.view.stream import Pulse
 from glue.errors import ConfigError
@@ -35,32 +35,53 @@ _SPARE: Final = 200
 """Descriptors for everything that is not a connection: stores, recordings, observers."""
 
 
-def serve(
-    folders: Sequence[Path], port: int | None, host: str, proxy: str, ready: Callable[[str], None]
-) -> None:
-    """Serve the page until SIGINT or SIGTERM, whose handlers are called at the end.
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a page is served.
 
     Args:
-        folders: runs and folders of runs that it shows.
-        port: to listen at, 0 for any that is free, None for `DEFAULT_PORT` or, if that is taken, any.
         host: an IP address or a name of this machine.
-        proxy: the address at which browsers find the page, if that differs.
-        ready: called with the address to open, token included, when requests are accepted.
+        port: to listen at, 0 for any that is free, None for `DEFAULT_PORT` or, if that is taken, any.
+        proxy: the address at which browsers find the page, such as `https://lab.example/runs`; may be empty.
+    """
+
+    host: str
+    port: int | None
+    proxy: str = ""
+
+
+def new_token() -> str:
+    """Return a new secret that opens a page."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
+
+
+def serve(
+    app: Callable[[Address, Pulse], ASGIApp],
+    place: Place,
+    ready: Callable[[str], None],
+    http: type[Connection] | None = None,
+) -> None:
+    """Serve a page until SIGINT or SIGTERM, whose handlers are called at the end.
+
+    Args:
+        app: returns the guarded application for the names by which it may be addressed.
+        place: where.
+        ready: called with the page's address when requests are accepted.
+        http: the limits of connections, by default `Connection`.
 
     Raises:
         ConfigError: the server cannot listen there.
     """
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    with _listen(host, port) as listening:
+    with _listen(place.host, place.port) as listening:
         port = int(listening.getsockname()[1])
-        token = secrets.token_urlsafe(_TOKEN_BYTES)
-        address = Address(port, proxy, open_to_all=not is_loopback(host))
+        address = Address(port, place.proxy, open_to_all=not is_loopback(place.host))
         pulse = Pulse()
         config = uvicorn.Config(
-            page(folders, address, token, pulse),
+            app(address, pulse),
             access_log=False,  # the log would hold the token
-            http=Connection,
+            http=http or Connection,
             lifespan="off",
             log_config=None,
             log_level=logging.CRITICAL,
@@ -69,7 +90,7 @@ def serve(
             timeout_graceful_shutdown=_FAREWELL_SECONDS,
             ws="none",
         )
-        server = _Server(config, pulse, lambda: ready(_url(host, port, proxy, token)))
+        server = _Server(config, pulse, lambda: ready(_url(place, port)))
         asyncio.run(server.serve([listening]))
 
 
@@ -178,9 +199,8 @@ def _listen(host: str, port: int | None) -> socket.socket:
     ) from failure
 
 
-def _url(host: str, port: int, proxy: str, token: str) -> str:
-    if proxy:
-        return f"{proxy.rstrip('/')}/?token={token}"
-    if host in ("0.0.0.0", "::"):
-        host = socket.gethostname()
-    return f"http://{f'[{host}]' if ':' in host else host}:{port}/?token={token}"
+def _url(place: Place, port: int) -> str:
+    if place.proxy:
+        return f"{place.proxy.rstrip('/')}/"
+    host = socket.gethostname() if place.host in ("0.0.0.0", "::") else place.host
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"

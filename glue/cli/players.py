@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import click
@@ -21,6 +22,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from glue import __version__
+from glue.cli.season import SEASON_SETTINGS, play_agents, play_programs
 from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, reporting
 from glue.console import LOG, errors_only
 from glue.errors import ConfigError
@@ -70,6 +72,10 @@ class _PlayerGroup(click.Group):
 
     def __init__(self, role: Role, extras: Sequence[Extra], name: str, help: str) -> None:
         super().__init__(name=name, help=help, subcommand_metavar="NAME [OPTIONS]", no_args_is_help=True)
+        if role is Role.AGENT:
+            self.params.append(click.Option(["--season"], **SEASON_SETTINGS))
+            self.invoke_without_command = True
+            self.callback = self._begin
         self._role = role
         self._extras = extras
         click.version_option(__version__, prog_name=name)(self)
@@ -81,6 +87,26 @@ class _PlayerGroup(click.Group):
         factory = find(self._role, cmd_name)
         extras = [extra for extra in self._extras if not extra.method or hasattr(factory, extra.method)]
         return _serving(self._role, cmd_name, factory, extras)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the subcommand; with --season before it, the arguments are a program."""
+        season = ctx.params.get("season")
+        if season is None:
+            return super().resolve_command(ctx, args)
+        return (
+            "PROGRAM",
+            click.Command("PROGRAM", callback=reporting(partial(play_programs, season, args))),
+            [],
+        )
+
+    def _begin(self, season: Path | None) -> None:
+        context = click.get_current_context()
+        if context.invoked_subcommand is None:
+            if season is None:
+                context.fail("Missing command.")
+            play_programs(season, ())
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the installed names with their summaries, without importing any of them."""
@@ -122,6 +148,7 @@ def _serving(role: Role, name: str, factory: type, extras: Sequence[Extra]) -> c
         _batch: int | None = None,
         _openenv: str | None = None,
         _insecure: bool = False,
+        _season: Path | None = None,
         **options: Value | None,
     ) -> None:
         from glue.client.players import serve_agent, serve_environment
@@ -133,12 +160,18 @@ def _serving(role: Role, name: str, factory: type, extras: Sequence[Extra]) -> c
         if _openenv is not None:
             _serve_openenv(make, name, _openenv, _insecure)
             return
-        players: dict[str, Any] = {
-            one: make() if _batch is None else make_batch(name, make, _batch) for one in _session
-        }
-        for extra, value in added:
-            if value is not None and value is not False:
-                players = {one: extra.apply(player, value) for one, player in players.items()}
+
+        def made() -> Any:
+            player = make() if _batch is None else make_batch(name, make, _batch)
+            for extra, value in added:
+                if value is not None and value is not False:
+                    player = extra.apply(player, value)
+            return player
+
+        if _season is not None:
+            play_agents(_season, made, _label(name, given))
+            return
+        players = {one: made() for one in _session}
         serve = serve_agent if role is Role.AGENT else serve_environment
         with errors_only() if _quiet else nullcontext():
             if (warning := without_seed(role, name, factory)) is not None:
@@ -179,6 +212,8 @@ def _serving(role: Role, name: str, factory: type, extras: Sequence[Extra]) -> c
         click.Option(["--quiet", "_quiet"], is_flag=True, help="Print nothing but errors."),
         *(extra.option for extra in extras),
     ]
+    if role is Role.AGENT:
+        common.append(click.Option(["--season", "_season"], **SEASON_SETTINGS))
     if role is Role.ENVIRONMENT:
         text = "Serve N games as one environment, to an agent that acts in all of them at once."
         common += [

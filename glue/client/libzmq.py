@@ -7,18 +7,20 @@ that a peer greets the hub once over each, and the reason for a failed handshake
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Self
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from glue.client.target import OwnKey, needs_key, needs_no_key, unknown_key, wrong_hub_key
-from glue.errors import ConfigError, Refused
+from glue.client.target import OwnKey, Target, needs_key, needs_no_key, unknown_key, wrong_hub_key
+from glue.console import say
+from glue.errors import ConfigError, GlueError, Refused
 from glue.keys.certificates import KeyPair
 from glue.keys.certificates import decode as decode_key
 from glue.keys.certificates import encode as encode_key
+from glue.system import threads
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.messages import Message
+from glue.wire.messages import MAX_BODY, MAX_HEADER, Message
 
 Context = zmq.Context[zmq.Socket[bytes]]
 
@@ -29,6 +31,11 @@ _AT_ONCE: Final = int(zmq.DONTWAIT)
 _LINGER_MS: Final = 1000
 """Maximum time in milliseconds that a closing socket tries to deliver its last messages."""
 
+_RELAY_TIMEOUT: Final = 5.0
+"""Seconds after which a relay's connection counts as cut."""
+
+_LOOK_MS: Final = 100
+"""Maximum time in milliseconds in which a relay notices that it is to stop."""
 
 _EVENTS: Final = (
     zmq.Event.HANDSHAKE_SUCCEEDED
@@ -147,7 +154,7 @@ class DealerTransport:
         flags = 0
         if not self.connected:
             self._poller.poll(self._wait_ms)
-            self._notice_connections()
+            self.notice_connections()
             if self.connected:
                 return None
             flags = _AT_ONCE
@@ -159,7 +166,7 @@ class DealerTransport:
                 frames.append(frame.bytes)
             return frames
         except zmq.Again:
-            self._notice_connections()
+            self.notice_connections()
             return None
 
     @property
@@ -169,11 +176,15 @@ class DealerTransport:
         Raises:
             Refused: hub and peer cannot agree on how to authenticate, or the hub does not know the key.
         """
-        self._notice_connections()
+        self.notice_connections()
         return self._connections
 
-    def _notice_connections(self) -> None:
-        """Bring `connected` and the number of connections up to date."""
+    def notice_connections(self) -> None:
+        """Bring `connected` and the number of connections up to date.
+
+        Raises:
+            Refused: as `connections`.
+        """
         try:
             while True:
                 message = recv_monitor_message(self._monitor, _AT_ONCE)
@@ -209,3 +220,61 @@ class DealerTransport:
         self.socket.close(_LINGER_MS if linger is None else int(linger * 1000))
         if self._own_context is not None:
             self._own_context.term()
+
+
+class Relay:
+    """An address on this machine, without encryption, that leads to a hub with keys.
+
+    Programs whose library does not encrypt join the hub through it. A message goes on as it came; when the
+    connection to the hub breaks, the hub does not know the next one, and asks the program to greet it again.
+    Only the last program that has connected gets messages.
+
+    Args:
+        url: the address, `ipc://PATH` in a folder that other users cannot enter.
+        target: the hub, with the keys.
+
+    Raises:
+        ConfigError: the address cannot be listened on.
+    """
+
+    def __init__(self, url: str, target: Target) -> None:
+        self._context: Context = zmq.Context()
+        self._stop = threads.Event()
+        self._local = self._context.socket(zmq.ROUTER)
+        try:
+            self._local.bind(url)
+        except zmq.ZMQError as error:
+            self._context.destroy(0)
+            raise ConfigError(f"cannot listen at {url}: {error.strerror}") from None
+        max_frame = 2 * MAX_BODY + MAX_HEADER
+        self._hub = DealerTransport(self._context, target.hub, _RELAY_TIMEOUT, max_frame, target.key)
+        self._thread = threads.Thread(target=self._run, name="relay", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._hub.close(0)
+        self._local.close(0)
+        self._context.term()
+
+    def _run(self) -> None:
+        poller = zmq.Poller()
+        for each in (self._local, self._hub.socket):
+            poller.register(each, zmq.POLLIN)
+        program = b""
+        try:
+            while not self._stop.is_set():
+                ready = dict(poller.poll(_LOOK_MS))
+                if self._local in ready:
+                    program, *frames = self._local.recv_multipart()
+                    self._hub.send(frames)
+                if self._hub.socket in ready:
+                    self._local.send_multipart([program, *self._hub.socket.recv_multipart()])
+                if not ready:
+                    self._hub.notice_connections()
+        except GlueError as error:
+            say(f"Error: {error}")

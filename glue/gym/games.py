@@ -123,7 +123,9 @@ class Side(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         return self._my_turn()
 
     def close(self) -> None:
-        """Close the game."""
+        """Close the game, and let the opponents clean up."""
+        for opponent in self._opponents.values():
+            opponent.close()
         self._game.close()
 
     def _number(self) -> int:
@@ -162,6 +164,11 @@ class _Opponent:
         if seed is not None or not self._initialised:
             self._calls[Kind.AGENT_INIT]((), task_spec(self._observations, self._actions, masks=True))
             self._initialised = True
+
+    def close(self) -> None:
+        """Let the agent clean up."""
+        if self._initialised:
+            self._calls[Kind.AGENT_CLEANUP]((), None)
 
     def play(self) -> None:
         """Make a move, or learn that the game is over."""

@@ -63,7 +63,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         self.render_mode: str | None = envs.render_mode
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
         self._actions: Any = None
-        self._shown: list[dict[str, Any]] = []  # the infos of the observations last returned
+        self._infos: dict[str, Any] = {}  # of the observations last returned
 
     def reset(self) -> Any:
         """Begin an episode in every game, with the seeds and options that were set."""
@@ -71,7 +71,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         options = next((one for one in self._options if one), None)
         observations, infos = self._envs.reset(seed=seeds, options=options)
         self.reset_infos: list[dict[str, Any]] = split(infos, self.num_envs)
-        self._shown = self.reset_infos
+        self._infos = infos
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -84,7 +84,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         """Carry out the actions; return observations, rewards, which episodes are over, and infos."""
         observations, rewards, terminated, truncated, infos = self._envs.step(self._actions)
         parts = infos_of_step(infos, terminated, truncated)
-        self._shown = split(infos, self.num_envs)
+        self._infos = infos
         return observations, rewards.astype(np.float32), terminated | truncated, parts
 
     def close(self) -> None:
@@ -94,7 +94,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
     def has_attr(self, attr_name: str) -> bool:
         """Return whether the games have an attribute, or masks if it is `action_masks`."""
         if attr_name == "action_masks":
-            return any("action_mask" in info for info in self._shown)
+            return "action_mask" in self._infos
         return bool(super().has_attr(attr_name))
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
@@ -117,7 +117,8 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         """
         if method_name == "action_masks":
             codec = MaskCodec(self.action_space)
-            masks = [self._shown[i].get("action_mask") for i in self._chosen(indices)]
+            shown = split(self._infos, self.num_envs)
+            masks = [shown[i].get("action_mask") for i in self._chosen(indices)]
             return [
                 codec.flat(Observation(mask=None if mask is None else codec.pack(mask))) for mask in masks
             ]
@@ -194,15 +195,19 @@ class SB3Agent(Agent):
                 f"there is no policy {self._path}: policy should name a file that model.save wrote",
                 settings=("policy",),
             )
+        algorithm = _algorithm(self._algorithm)
         try:
-            return self._library().load(self._path, device="cpu")
+            return algorithm.load(self._path, device="cpu")
         except Exception as error:
             raise ConfigError(f"{self._path} is not a policy of {self._algorithm}: {error}") from error
 
-    def _library(self) -> Any:
-        """Return the class of the algorithm."""
-        if self._algorithm != _MASKED:
-            return getattr(stable_baselines3, self._algorithm)
-        import sb3_contrib
 
-        return sb3_contrib.MaskablePPO
+def _algorithm(name: str) -> Any:
+    """Return the class of an algorithm."""
+    if name != _MASKED:
+        return getattr(stable_baselines3, name)
+    try:
+        import sb3_contrib
+    except ImportError:
+        raise ConfigError("MaskablePPO needs sb3-contrib: pip install 'glue-rl[sb3]'") from None
+    return sb3_contrib.MaskablePPO

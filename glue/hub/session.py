@@ -135,10 +135,10 @@ class Session:
         "_request_seq",
         "_seq",
         "_slow",
-        "_time",
         "name",
         "observers",
         "peers",
+        "time",
     )
 
     def __init__(self, host: Host, name: str, time: TimeBank | None = None, pace: Pace = _WAITING) -> None:
@@ -146,7 +146,7 @@ class Session:
         self.peers: dict[Role, Peer] = {}
         self.observers: Observers | None = None
         self._host = host
-        self._time = time
+        self.time: TimeBank | None = time
         self._engine = Engine(Action().body)
         self._confirmed: dict[Role, bytes] = {}
         self._seq = 0
@@ -302,7 +302,7 @@ class Session:
     def enforce_time(self) -> None:
         """Dismiss an agent that has run out of time without answering."""
         agent = self.peers.get(Role.AGENT)
-        why = None if self._time is None else self._time.overdue()
+        why = None if self.time is None else self.time.overdue()
         if agent is not None and why is not None:
             self._host.dismiss(agent, why)
 
@@ -385,7 +385,7 @@ class Session:
                 return False
         if not peer.confirmed:
             self._confirm(peer)
-        if self._time is not None and peer.role is Role.AGENT and (why := self._time.answered()) is not None:
+        if self.time is not None and peer.role is Role.AGENT and (why := self.time.answered()) is not None:
             self._host.dismiss(peer, why)
             return True
         if kind is _ERROR:
@@ -492,8 +492,8 @@ class Session:
         if self._due:
             self._account()
         if player is not None:
-            if self._time is not None and player.role is Role.AGENT:
-                self._time.called(kind)
+            if self.time is not None and player.role is Role.AGENT:
+                self.time.called(kind)
             self._host.deliver(player, outstanding)
 
     def _ask_agent(self) -> None:
@@ -509,8 +509,8 @@ class Session:
             return
         self._seq += 1
         self._paced = _message(Message, (call.kind, self.name, self._seq, call.scalars, call.body or b""))
-        if self._time is not None:
-            self._time.called(call.kind)
+        if self.time is not None:
+            self.time.called(call.kind)
         self._host.deliver(agent, self._paced)
 
     def _act(self, now: float) -> None:

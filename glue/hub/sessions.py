@@ -60,6 +60,7 @@ class Sessions:
         clock: returns seconds, to measure the time of agents if `config` limits it; by default the time of
             the last message or tick.
         at: calls a function, with the time, when a time has come; needed if `config` has a pace.
+        processor: as of `TimeBank`, of the agent of every session.
 
     Attributes:
         at: as given.
@@ -73,6 +74,7 @@ class Sessions:
         log: Callable[[str], None],
         clock: Callable[[], float] | None = None,
         at: Callable[[float, Callable[[float], None]], None] = lambda time, work: None,
+        processor: Callable[[], float | None] | None = None,
     ) -> None:
         self.memory: Memory = Memory(config.max_memory)
         self._config = config
@@ -80,6 +82,7 @@ class Sessions:
         self.at = at
         self.now: float = 0.0
         self._clock = clock or (lambda: self.now)
+        self._processor = processor
         self._by_name: dict[str, Session] = {}
         self._joined: dict[Channel, dict[str, Peer]] = {}
         """The peers of each connection, by session."""
@@ -101,6 +104,11 @@ class Sessions:
     def num_late(self, session: str) -> int:
         """Return the number of late actions since the last start in a session that has a peer."""
         return self._by_name[session].num_late
+
+    def time_left(self, session: str) -> tuple[float, float] | None:
+        """Return `TimeBank.left` of a session's agent; None if its time is not limited, or it is gone."""
+        found = self._by_name.get(session)
+        return None if found is None or found.time is None else found.time.left
 
     def capabilities(self, session: str, role: Role) -> frozenset[str] | None:
         """Return the capabilities of a session's peer; None if there is no such peer."""
@@ -236,7 +244,8 @@ class Sessions:
             if len(self._by_name) >= self._config.max_sessions:
                 text = f"this hub serves {self._config.max_sessions} sessions at once, and all are in use"
                 return ErrorCode.FULL, text
-            bank = None if self._config.time is None else TimeBank(self._config.time, self._clock)
+            limits = self._config.time
+            bank = None if limits is None else TimeBank(limits, self._clock, self._processor)
             session = Session(self, message.session, bank, self._config.pace)
             self._by_name[message.session] = session
         other = joined.get(message.session)

@@ -9,6 +9,9 @@ from typing import Final
 monotonic: Final = time.monotonic
 """Seconds since an arbitrary time; never set back."""
 
+unix: Final = time.time
+"""Seconds since 1970, UTC, as this machine's clock says: it can be wrong, and be set."""
+
 sleep: Final = time.sleep
 
 

@@ -80,7 +80,9 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "experiment_runner/competition/records": ("experiment_runner/executors",),
     "experiment_runner/competition": ("experiment_runner/competition/records",),
     "experiment_runner/competition/board": ("experiment_runner/competition",),
-    "experiment_runner/view": ("experiment_runner/competition/board",),
+    "experiment_runner/competition/season": ("experiment_runner/competition/board",),
+    "experiment_runner/view": ("experiment_runner/competition/season",),
+    "experiment_runner/view/season": ("experiment_runner/view",),
     # Only the studies know Mario and the agents of the paper.
     "experiment_runner/study": (),
     "experiment_runner/study/generalisation": (
@@ -95,7 +97,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
         "experiment_runner/slurm",
         "experiment_runner/study/generalisation",
         "experiment_runner/study/paper",
-        "experiment_runner/view",
+        "experiment_runner/view/season",
         "glue/cli",
     ),
 }

@@ -22,6 +22,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "msgpack": ["glue/extras.py", "glue/wire/*", "experiment_runner/executors/job.py"],
     "msgspec": [
         "experiment_runner/competition/records/*",
+        "experiment_runner/competition/season/*",
         "experiment_runner/competition/settings.py",
         "experiment_runner/executors/job.py",
         "experiment_runner/loggers/stream.py",
@@ -47,9 +48,10 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     **{key: ["glue/gym/sb3.py"] for key in ("sb3_contrib", "stable_baselines3")},
     "pettingzoo": ["glue/gym/games.py"],
     "torch": NOWHERE,
-    "starlette": ["experiment_runner/view/*"],
+    "starlette": ["experiment_runner/view/*", "experiment_runner/competition/season/entrance.py"],
+    "prometheus_client": ["experiment_runner/view/season/metrics.py"],
     **dict.fromkeys(("anyio", "mcp", "mcp_types"), ("agents/language/server.py",)),
-    "http.client": ["agents/language/endpoint.py"],
+    "http.client": ["agents/language/endpoint.py", "glue/client/season.py"],
     "openenv": ["glue/openenv/*"],
     "pydantic": ["glue/openenv/serving.py"],
     "uvicorn": ["agents/language/server.py", "glue/openenv/serving.py", "experiment_runner/view/server.py"],
@@ -190,7 +192,7 @@ class Missing:
         if name.partition('.')[0] in {
             'matplotlib', 'PIL', 'scipy', 'optuna', 'pyarrow', 'gymnasium', 'nacl', 'ray', 'pandas', 'docker',
             'polars', 'minari', 'rlglue', 'mcp',
-            'requests', 'starlette', 'uvicorn',
+            'requests', 'starlette', 'uvicorn', 'prometheus_client',
         }:
             raise ModuleNotFoundError(name)
 

@@ -7,13 +7,16 @@ import io
 import json
 import math
 from dataclasses import asdict
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
 from experiment_runner.report.tables import format_table
 from experiment_runner.store.output import csv_row, finite
 from glue.console import one_line
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 LEGEND: Final = (
     "place     by the mean of the ranks in the tasks; those who are equal share it",
@@ -99,9 +102,9 @@ def as_csv(board: Standings) -> str:
     return text.getvalue()
 
 
-def as_json(board: Standings) -> str:
-    """Return the standings as a JSON object; a missing number is null."""
-    return json.dumps(_finite(asdict(board)), indent=2) + "\n"
+def as_json(board: DataclassInstance) -> str:
+    """Return a board as a JSON object; a missing number is null."""
+    return json.dumps(plain(board), indent=2) + "\n"
 
 
 def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
@@ -120,6 +123,11 @@ def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
 def _timed(board: Standings) -> bool:
     """Return whether an entrant with a place has played a task with a rate."""
     return any(not math.isnan(one.late) for one in board.entrants if one.place is not None)
+
+
+def plain(board: DataclassInstance) -> object:
+    """Return a board as JSON has it; a missing number is None."""
+    return _finite(asdict(board))
 
 
 def _finite(value: object) -> object:

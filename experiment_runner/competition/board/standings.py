@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.competition.course import Course
-from experiment_runner.competition.records.journal import ENTER, Act
+from experiment_runner.competition.records.journal import ADD, ANNOUNCE, EXCLUDE, READMIT, RERUN, Act
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.plan.ids import TrialId
@@ -29,6 +30,9 @@ from experiment_runner.store.results import Results
 from glue.console import one_line
 from glue.errors import ExperimentError
 from glue.files import read_text
+
+_SHOWN: Final = (ADD, ANNOUNCE, EXCLUDE, READMIT, RERUN)
+"""Acts that the standings show: those about trials, not those of a season."""
 
 _RESAMPLES: Final = 10_000
 _INTERVAL: Final = (2.5, 97.5)
@@ -138,10 +142,12 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
         reveal: whether to include the seeds of the trials.
 
     Raises:
-        ExperimentError: the run cannot be read, or was changed since it was sealed.
+        ExperimentError: the run cannot be read, was changed since it was sealed, or its season is not closed.
     """
+    if course.in_season:
+        raise ExperimentError("the season is not closed: there are no standings yet, only its board")
     check_seal(results)
-    tasks = tuple(task.name for task in course.competition.tasks)
+    tasks = tuple(task.name for task in course.competition.testing)
     excluded = course.excluded
     judged: dict[str, list[_Judged]] = {name: [] for name in course.entrants}
     for judgement in _judged(results, course):
@@ -165,7 +171,7 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
         ),
         _program(results.directory),
         tuple(_seeds(results, course)) if reveal else (),
-        tuple(one for one in course.acts if one.act != ENTER),
+        tuple(one for one in course.acts if one.act in _SHOWN and (one.act != RERUN or one.trial)),
     )
 
 
@@ -260,7 +266,7 @@ def _placed(entrants: Sequence[Standing], tasks: Sequence[str]) -> list[Standing
     mean_ranks = [float(np.mean([by_task[task][i] for task in tasks])) for i in range(len(entrants))]
     placed = []
     for i, one in enumerate(entrants):
-        low, high = _interval([one.tasks[task].trials for task in tasks])
+        low, high = interval(tuple(one.tasks[task].trials for task in tasks))
         placed.append(
             replace(
                 one,
@@ -276,8 +282,13 @@ def _placed(entrants: Sequence[Standing], tasks: Sequence[str]) -> list[Standing
     return sorted(placed, key=lambda one: (one.mean_rank, -one.total, one.name))
 
 
-def _interval(scores: Sequence[Sequence[float]]) -> tuple[float, float]:
-    """Return the 95 % percentile bootstrap interval of the total: trials are resampled within each task."""
+@lru_cache(maxsize=4096)
+def interval(scores: tuple[tuple[float, ...], ...]) -> tuple[float, float]:
+    """Return the 95 % percentile bootstrap interval of a total: trials are resampled within each task.
+
+    Args:
+        scores: of the trials of each task.
+    """
     rng = bootstrap_rng()
     totals = np.zeros(_RESAMPLES)
     for trials in scores:

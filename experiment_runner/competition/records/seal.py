@@ -1,22 +1,29 @@
 """The seal of a competition: digests of everything that its board shows, in the run's file `seal.json`.
 
-`played` covers the competition's file, the journal, the trials and their outcomes, and is renewed with each
-act of the organiser and each outcome; `verified` covers each verdict and the episodes behind it. An edit of
-the directory breaks the seal. Anyone who may write to the directory can also make a new seal; only a
-signature shows who made it.
+It covers the competition's file, the journal, the trials, their outcomes, and each verdict with the episodes
+behind it. An edit of the directory breaks the seal. Anyone who may write to the directory can also make a new
+seal; only a signature shows who made it.
+
+However much there is, the seal is renewed at the same cost. The digest of the journal is a chain over its
+lines. That of a set is the sum of its elements' digests modulo 2**4096: AdHASH of Bellare and Micciancio
+(1997), "A New Paradigm for Collision-Free Hashing: Incrementality at Reduced Cost". Against that many bits,
+the generalised birthday attack of Wagner (2002) takes about 2**128 steps.
+
+An earlier seal had one digest of everything that was played, and one of each verdict. It remains valid, and
+is replaced when something is recorded.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Final
 
 import msgspec
+from msgspec.structs import replace
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act
@@ -38,70 +45,137 @@ from glue.keys.certificates import KeyPair, encode
 
 _MOST_BYTES: Final = 2**24
 _TRIES: Final = 3
+_SUM_BYTES: Final = 512
 
-_Digests = Annotated[list[str], msgspec.Meta(min_length=1)]
-"""The digest of something, after the one before its last change, if that is known."""
+_SPEC: Final = ("id", "agent", "environment", "episodes", "max_steps", "seed", "steps")
+
+_Sum = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]+$", max_length=2 * _SUM_BYTES)]
+"""The digest of a set, in hexadecimal."""
+
+_WHAT: Final = {
+    "files": f"{COMPETITION_FILE} or {ABOUT_FILE}",
+    "acts": f"lines of {JOURNAL_FILE}",
+    "trials": "trials",
+    "outcomes": "outcomes of trials",
+    "verdicts": "verdicts or episodes of trials",
+}
+
+
+class _Digests(msgspec.Struct, frozen=True):
+    """The digests of what a seal covers, see `_WHAT`."""
+
+    files: str
+    acts: str
+    trials: _Sum
+    outcomes: _Sum
+    verdicts: _Sum
 
 
 class _Seal(msgspec.Struct, omit_defaults=True):
-    """A seal, its public key and the signature by it, if it was signed."""
+    """Digests, and those before their last change; the public key and the signature, if they were signed."""
 
-    played: _Digests
-    verified: dict[str, _Digests]
+    now: _Digests
+    before: _Digests | None = None
+    key: str = ""
+    signature: str = ""
+
+
+class _EarlierSeal(msgspec.Struct, omit_defaults=True):
+    """A seal as it was before; a digest of something comes after the one before its last change."""
+
+    played: Annotated[list[str], msgspec.Meta(min_length=1)]
+    verified: dict[str, Annotated[list[str], msgspec.Meta(min_length=1)]]
     key: str = ""
     signature: str = ""
 
 
 def seal(store: Store) -> bool:
-    """Seal a competition as it is, if it has no seal yet; return whether it had one."""
-    sealed = (store.directory / SEAL_FILE).exists()
-    if not sealed:
-        verified = {name: [_verified(store, name, verdict)] for name, verdict in store.verdicts().items()}
-        _write(store.directory, _Seal([_played(store)], verified))
-    return sealed
+    """Seal a competition as it is, if it has no seal yet; return whether it had one.
+
+    If something was sealed and then could not be written, because the process was killed or the disk is full,
+    this must be called before anything else is recorded.
+    """
+    if not (store.directory / SEAL_FILE).exists():
+        _write(store.directory, _Seal(_digests(store)))
+        return False
+    found = _read(store.directory)
+    if isinstance(found, _Seal) and found.before is not None and _digests(store) == found.before:
+        found.now = found.before
+        _write(store.directory, found)
+    return True
 
 
-# The new digest is written before what it is of, and the old one is kept with it: a process that is killed
-# between the two leaves a valid seal.
+# The new digests are written before what they are of, and the old ones are kept with them: a process that is
+# killed between the two leaves a valid seal.
 
 
 def record_acts(store: Store, acts: Sequence[Act]) -> None:
     """Renew the seal, and append acts to the journal."""
-    added = journal.content(store.directory) + journal.text_of(acts).encode()
-    _renew(store, _played(store, acts=added))
-    journal.append(store.directory, acts)
+    found = _newest(store)
+    lines = journal.text_of(acts).encode()
+    _renew(store, found, replace(found.now, acts=_chained(found.now.acts, lines)))
+    journal.append(store.directory, lines)
 
 
 def add_trials(store: Store, specs: Sequence[TrialSpec]) -> None:
     """Renew the seal, and store further trials, for which acts of the journal call."""
-    _renew(store, _played(store, specs=specs))
+    found = _newest(store)
+    _renew(store, found, replace(found.now, trials=_sum(map(_planned, specs), found.now.trials)))
     store.extend(specs)
 
 
 def record_outcome(store: Store, trial_id: str, outcome: TrialEnd) -> None:
     """Renew the seal, and store how a trial ended."""
-    _renew(store, _played(store, outcomes={trial_id: outcome}))
+    found = _newest(store)
+    outcomes = _sum([_ended(trial_id, outcome)], found.now.outcomes)
+    _renew(store, found, replace(found.now, outcomes=outcomes))
     store.record_outcome(trial_id, outcome)
 
 
 def record_verdict(store: Store, trial_id: str, verdict: ReplayVerdict) -> None:
-    """Renew the seal, and store the result of replaying a trial."""
-    found = _read(store.directory)
-    digests = [_verified(store, trial_id, one) for one in (store.verdicts().get(trial_id), verdict) if one]
-    if found.verified.get(trial_id, [])[-1:] != digests[-1:]:
-        found.verified[trial_id] = digests
-        _write(store.directory, found)
+    """Renew the seal, and store the result of replaying a trial, in place of an earlier one."""
+    if isinstance(_read(store.directory), _EarlierSeal) and broken(store):
+        store.record_verdict(trial_id, verdict)  # `reseal_verdicts` follows
+        return
+    found, was = _newest(store), store.verdict(trial_id)
+    if was is not None and _verified(store, trial_id, was) == _verified(store, trial_id, verdict):
+        return
+    rest = found.now.verdicts
+    if was is not None:
+        rest = _sum([_verified(store, trial_id, was)], rest, -1)
+    verdicts = _sum([_verified(store, trial_id, verdict)], rest)
+    _renew(store, found, replace(found.now, verdicts=verdicts))
     store.record_verdict(trial_id, verdict)
 
 
-def _renew(store: Store, digest: str) -> None:
+def reseal_verdicts(store: Store) -> None:
+    """Seal the verdicts as they are, once every trial that is over has been replayed, and so each of them and
+    the episodes behind it are known to be right. What else was changed since it was sealed remains so.
+    """
+    if broken(store) == _WHAT["verdicts"] and store.verdicts().keys() <= store.outcomes().keys():
+        _write(store.directory, _Seal(_digests(store)))
+
+
+def _newest(store: Store) -> _Seal:
+    """Return the seal of a run; one for an earlier seal, unless that is broken.
+
+    Raises:
+        ExperimentError: it cannot be read, or is an earlier one and broken.
+    """
     found = _read(store.directory)
-    found.played = [_played(store), digest]
+    if isinstance(found, _Seal):
+        return found
+    check_seal(store)
+    return _Seal(_digests(store), None, found.key, found.signature)
+
+
+def _renew(store: Store, found: _Seal, now: _Digests) -> None:
+    found.now, found.before = now, found.now
     _write(store.directory, found)
 
 
 def broken(results: Results) -> str:
-    """Return the name of the part that was changed since it was sealed; empty without a change or a seal.
+    """Return the name of what was changed since it was sealed; empty without a change or a seal.
 
     Raises:
         ExperimentError: the seal cannot be read.
@@ -109,17 +183,29 @@ def broken(results: Results) -> str:
     directory = results.directory
     if not (directory / SEAL_FILE).exists():  # of version 0.1.0
         return ""
-    verdicts = results.verdicts()
-    # While a competition is held, an outcome may be stored between reading the seal and the database.
-    for found in (_read(directory) for _ in range(_TRIES)):
-        if _played(results) in found.played:
+    changed = ""
+    for _ in range(_TRIES):
+        found = _read(directory)
+        changed = _changed(results, found)
+        if not changed or _read(directory) == found:  # while a run goes on, its seal is renewed
             break
-    else:
-        return f"{COMPETITION_FILE}, {ABOUT_FILE}, {JOURNAL_FILE}, the trials or their outcomes"
-    for name, verdict in verdicts.items():
-        if _verified(results, name, verdict) not in found.verified.get(name, ()):
-            return f"the verdict or the episodes of {name}"
-    return ""
+    return changed
+
+
+def _changed(results: Results, found: _Seal | _EarlierSeal) -> str:
+    if isinstance(found, _EarlierSeal):
+        verdicts = results.verdicts()
+        if _earlier_played(results) not in found.played:
+            return ", ".join(what for part, what in _WHAT.items() if part != "verdicts")
+        sealed = (
+            (_earlier_verified(results, *one), found.verified.get(one[0], ())) for one in verdicts.items()
+        )
+        return "" if all(digest in digests for digest, digests in sealed) else _WHAT["verdicts"]
+    now = _digests(results)
+    if now in (found.now, found.before):
+        return ""
+    of = [getattr(now, part) == getattr(found.now, part) for part in _WHAT]
+    return ", ".join(what for what, same in zip(_WHAT.values(), of, strict=True) if not same)
 
 
 def check_seal(results: Results) -> None:
@@ -168,38 +254,82 @@ def check_signature(directory: Path, public: bytes) -> None:
         raise ExperimentError(f"{directory} was not signed with {encode(public)}, or was changed since")
 
 
-def _message(found: _Seal) -> bytes:
+def _message(found: _Seal | _EarlierSeal) -> bytes:
+    if isinstance(found, _Seal):
+        return b"glue-compete seal 2\n" + _digest(msgspec.to_builtins(found.now)).encode()
     last = {name: digests[-1] for name, digests in found.verified.items()}
     return b"glue-compete seal 1\n" + _digest(found.played[-1], last).encode()
 
 
-def _played(
-    results: Results,
-    *,
-    outcomes: Mapping[str, TrialEnd] = MappingProxyType({}),
-    specs: Sequence[TrialSpec] = (),
-    acts: bytes | None = None,
-) -> str:
-    """Return the digest of what was played, with more outcomes, more trials, or another journal."""
-    directory = results.directory
+def _digests(results: Results) -> _Digests:
+    """Return the digests of everything that a run holds."""
+    return _Digests(
+        _digest(_files(results.directory)),
+        _chained("", journal.content(results.directory)),
+        _sum(_planned(record.spec) for record in results.trials()),
+        _sum(_ended(*one) for one in results.outcomes().items()),
+        _sum(_verified(results, *one) for one in results.verdicts().items()),
+    )
+
+
+def _sum(elements: Iterable[object], total: str = "0", sign: int = 1) -> str:
+    """Return the digest of a set with elements added to it or, with the sign -1, taken from it."""
+    whole = int(total, 16)
+    for one in elements:
+        drawn = hashlib.shake_256(json.dumps(one, sort_keys=True).encode()).digest(_SUM_BYTES)
+        whole += sign * int.from_bytes(drawn)
+    return f"{whole % 2 ** (8 * _SUM_BYTES):x}"
+
+
+def _chained(chain: str, lines: bytes) -> str:
+    """Return the digest of a journal to which lines were added."""
+    for line in lines.splitlines():
+        chain = hashlib.sha256(chain.encode() + line).hexdigest()
+    return chain
+
+
+def _files(directory: Path) -> list[str]:
     with reported(f"cannot read {directory}"):
         files = [read_regular(directory / name, MOST_TEXT) for name in (COMPETITION_FILE, ABOUT_FILE)]
-    if acts := journal.content(directory) if acts is None else acts:  # version 0.3 had no journal
-        files.append(acts)
-    ended = {**results.outcomes(), **outcomes}
-    return _digest(
-        [hashlib.sha256(file).hexdigest() for file in files],
-        [asdict(spec) for spec in (*(record.spec for record in results.trials()), *specs)],
-        {name: [outcome.reason, outcome.digest.hex()] for name, outcome in ended.items()},
-    )
+    return [hashlib.sha256(file).hexdigest() for file in files]
 
 
-def _verified(results: Results, name: str, verdict: ReplayVerdict) -> str:
-    episodes = results.episodes(name)
-    return _digest(
+def _planned(spec: TrialSpec) -> dict[str, object]:
+    """Return the fields of a trial, those that are younger than the seal only if they are set."""
+    return {name: value for name, value in asdict(spec).items() if value or name in _SPEC}
+
+
+def _ended(trial_id: str, outcome: TrialEnd) -> object:
+    return trial_id, outcome.reason, outcome.digest.hex()
+
+
+def _verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> object:
+    return trial_id, *_judged(results, trial_id, verdict)
+
+
+def _judged(results: Results, trial_id: str, verdict: ReplayVerdict) -> tuple[object, object]:
+    return (
         [verdict.digest.hex(), verdict.problem, repr(verdict.score)],
-        [[row.episode, repr(row.episode_return), row.steps, row.terminal] for row in episodes],
+        [
+            [row.episode, repr(row.episode_return), row.steps, row.terminal]
+            for row in results.episodes(trial_id)
+        ],
     )
+
+
+def _earlier_played(results: Results) -> str:
+    files = _files(results.directory)
+    if acts := journal.content(results.directory):  # version 0.3 had no journal
+        files.append(hashlib.sha256(acts).hexdigest())
+    return _digest(
+        files,
+        [_planned(record.spec) for record in results.trials()],
+        {name: [outcome.reason, outcome.digest.hex()] for name, outcome in results.outcomes().items()},
+    )
+
+
+def _earlier_verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> str:
+    return _digest(*_judged(results, trial_id, verdict))
 
 
 def _digest(*parts: object) -> str:
@@ -209,14 +339,18 @@ def _digest(*parts: object) -> str:
     return whole.hexdigest()
 
 
-def _read(directory: Path) -> _Seal:
+def _read(directory: Path) -> _Seal | _EarlierSeal:
     path = directory / SEAL_FILE
     try:
-        return msgspec.json.decode(read_regular(path, _MOST_BYTES), type=_Seal)
+        text = read_regular(path, _MOST_BYTES)
+        try:
+            return msgspec.json.decode(text, type=_Seal)
+        except ValueError:
+            return msgspec.json.decode(text, type=_EarlierSeal)
     except (OSError, ValueError, RecursionError):
         raise ExperimentError(f"{path} is not a seal: put the file back that glue-compete wrote") from None
 
 
-def _write(directory: Path, made: _Seal) -> None:
+def _write(directory: Path, made: _Seal | _EarlierSeal) -> None:
     text = json.dumps(msgspec.to_builtins(made), indent=2) + "\n"
     replace_flushed(directory / SEAL_FILE, text, KEPT)

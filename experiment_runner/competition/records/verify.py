@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.replay import Replay, passive_score, replay_of
-from experiment_runner.competition.records.seal import record_verdict, seal
+from experiment_runner.competition.records.seal import record_verdict, reseal_verdicts, seal
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import EpisodeResult, ReplayVerdict, TrialEnd
@@ -56,25 +56,47 @@ def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -
         spec = record.spec
         if spec.id not in outcomes:
             continue
-        _, task, number = spec.id.parts
-        path = record_path(store.directory, spec.id)
-        sha256, problem, score = b"", None, math.nan
-        try:
-            sha256 = digest(path)
-            score = _verified_score(store, spec, outcomes[spec.id], path, sha256, steps[task])
-            if outcomes[spec.id].reason is not None:
-                if (task, number) not in passive:
-                    passive[task, number] = passive_score(spec, steps[task])
-                score = passive[task, number]
-        except GlueError as error:
-            problem, score = str(error), math.nan
-        except Exception as error:  # from an environment, which may have changed since
-            problem, score = f"the environment failed: {type(error).__name__}: {error}", math.nan
-        record_verdict(store, spec.id, ReplayVerdict(sha256, problem, score))
-        if problem is not None:
+        verdict = judge(store, spec, outcomes[spec.id], steps[spec.id.parts[1]], passive)
+        record_verdict(store, spec.id, verdict)
+        if verdict.problem is not None:
             problems += 1
-            say(f"{spec.id} does not match: {problem}")
+            say(f"{spec.id} does not match: {verdict.problem}")
+    reseal_verdicts(store)
     return problems
+
+
+def judge(
+    results: Results,
+    spec: TrialSpec,
+    outcome: TrialEnd,
+    steps: int,
+    passive: dict[tuple[str, int], float] | None = None,
+) -> ReplayVerdict:
+    """Return the result of replaying a trial that is over.
+
+    Args:
+        results: of the run.
+        spec: the trial.
+        outcome: how it ended.
+        steps: number of steps of its task; 0 if its episodes count.
+        passive: scores of a passive agent, by task and seed, which are computed once.
+    """
+    path = record_path(results.directory, spec.id)
+    passive = {} if passive is None else passive
+    sha256, problem, score = b"", None, math.nan
+    try:
+        sha256 = digest(path)
+        score = _verified_score(results, spec, outcome, path, sha256, steps)
+        if outcome.reason is not None:
+            level = (spec.id.parts[1], spec.seed)  # attempts and repetitions share it
+            if level not in passive:
+                passive[level] = passive_score(spec, steps)
+            score = passive[level]
+    except GlueError as error:
+        problem, score = str(error), math.nan
+    except Exception as error:  # from an environment, which may have changed since
+        problem, score = f"the environment failed: {type(error).__name__}: {error}", math.nan
+    return ReplayVerdict(sha256, problem, score)
 
 
 def _verified_score(

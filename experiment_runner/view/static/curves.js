@@ -1,6 +1,6 @@
 // Learning curves drawn by the server: over episodes or steps, with bands, single trials on hover, and tables.
 
-import { count, failure, get, h, score, setText, table } from "./dom.js";
+import { count, drawing, failure, get, h, score, setText, table } from "./dom.js";
 import { FEW, settingsTable } from "./run.js";
 import { listen } from "./stream.js";
 
@@ -29,9 +29,6 @@ function valueAt({ kind, low, high }, part) {
   const [first, last] = [BENT[kind](low), BENT[kind](high)];
   return STRAIGHT[kind](first + part * (last - first));
 }
-
-/** Parse a drawing from the server, which holds no text of a run; return its element. */
-export const drawing = (text) => document.importNode(new DOMParser().parseFromString(text, "image/svg+xml").documentElement, true);
 
 export function mount(element, { query }) {
   const chosen = new Set(query.getAll("run"));

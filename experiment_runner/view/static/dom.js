@@ -17,15 +17,19 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Return a table inside a scrolling box; `columns` are names, `rows` lists of cells: text, numbers or nodes. */
-export function table(caption, columns, rows) {
+/**
+ * Return a table inside a scrolling box; `columns` are names, `rows` lists of cells: text, numbers or nodes. As `cards`,
+ * it has a card for each row where the window is narrow.
+ */
+export function table(caption, columns, rows, cards = false) {
   const head = h("tr", {}, ...columns.map((name, i) =>
     h("th", { scope: "col", class: rows.length && rows.every((row) => isNumber(row[i])) ? "number" : null }, name)));
   const body = rows.map((row) =>
     h("tr", {}, ...row.map((cell, i) =>
-      h(i ? "td" : "th", { scope: i ? null : "row", class: isNumber(cell) ? "number" : null }, cell))));
+      h(i ? "td" : "th", { scope: i ? null : "row", class: cell === "-" ? "number none" : isNumber(cell) ? "number" : null,
+        "data-label": cards ? columns[i] : null }, cell))));
   const title = h("caption", {}, caption);
-  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
+  return h("div", { class: cards ? "scroll cards" : "scroll", tabindex: "0", role: "region", "aria-label": caption },
     h("table", {}, title, h("thead", {}, head), h("tbody", {}, ...body)));
 }
 
@@ -84,6 +88,9 @@ async function answer(response) {
   if (!response.ok) throw new Error(body.error);
   return body;
 }
+
+/** Parse a drawing from the server, which holds no text of a run; return its element. */
+export const drawing = (text) => document.importNode(new DOMParser().parseFromString(text, "image/svg+xml").documentElement, true);
 
 /** Return a paragraph that stands where something is being loaded. */
 export const loading = () => h("p", { class: "quiet", role: "status" }, "Loading …");

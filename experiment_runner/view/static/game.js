@@ -1,10 +1,8 @@
 // The game: the list of a run's recorded episodes, and the player of one episode.
 
 import { count, failure, get, h, loading, score, setText, table } from "./dom.js";
+import { showEpisode } from "./game/episode.js";
 import { watchLive } from "./game/live.js";
-import { play } from "./game/player.js";
-import { Recording } from "./game/recording.js";
-import { Screen } from "./game/screen.js";
 import { listen } from "./stream.js";
 
 const ROWS = 50;
@@ -19,7 +17,8 @@ export async function mount(element, { path: [run = "", episode = ""], query }) 
   })];
   if (episode) links.append(h("a", { class: "button", href: `#/game/${encodeURIComponent(run)}` }, "All episodes"));
   try {
-    if (episode) stops.push(await mountEpisode(element, links, run, episode, query));
+    const place = `${encodeURIComponent(run)}/${encodeURIComponent(episode)}`;
+    if (episode) stops.push(await showEpisode(element, links, `api/episodes/${place}`, `#/game/${place}`, query));
     else {
       stops.push(watchLive(element, run));
       await mountList(element, run);
@@ -28,29 +27,6 @@ export async function mount(element, { path: [run = "", episode = ""], query }) 
     element.append(failure(error));
   }
   return () => stops.forEach((stop) => stop());
-}
-
-async function mountEpisode(element, links, run, episode, query) {
-  const response = await fetch(`api/episodes/${encodeURIComponent(run)}/${encodeURIComponent(episode)}`);
-  if (!response.ok) throw new Error((await response.json()).error);
-  const recording = new Recording(await response.arrayBuffer());
-  const screen = await Screen.open(recording.about.spec);
-  const address = (step) => `#/game/${encodeURIComponent(run)}/${encodeURIComponent(episode)}?step=${step}`;
-  const link = h("a", {}, "Link to this moment");
-  const wanted = Number.parseInt(query.get("step") ?? "0", 10) || 0;
-  const moved = (step) => {
-    link.setAttribute("href", address(step));
-    history.replaceState(null, "", address(step));
-  };
-  link.setAttribute("href", address(wanted));
-  links.append(link, h("span", { class: "quiet" }, `${recording.about.recording}, episode ${recording.about.episode}`));
-  element.append(screen.element);
-  const player = play(screen, recording, wanted, moved);
-  screen.below.append(player.element);
-  return () => {
-    player.close();
-    screen.close();
-  };
 }
 
 async function mountList(element, run) {

@@ -1,7 +1,7 @@
 // The live standings of a competition, also enlarged for a lecture hall.
 
-import { drawing } from "./curves.js";
-import { count, failure, get, h, loading, score, setText, table } from "./dom.js";
+import { count, drawing, failure, get, h, loading, score, setText, table } from "./dom.js";
+import { projector } from "./projector.js";
 import { listen } from "./stream.js";
 
 const REFRESH_SECONDS = 3;
@@ -11,15 +11,8 @@ export function mount(element, { path, query }) {
   const title = h("h1", {}, "Standings");
   const how = h("p", { class: "quiet", role: "status" });
   const content = h("div", {}, loading());
-  const projector = h("button", { type: "button", "aria-pressed": "false", onclick: () => large(!document.body.classList.contains("projector")) },
-    "Projector");
-  element.append(h("div", { class: "head" }, title, projector), how, content);
-
-  function large(isLarge) {
-    document.body.classList.toggle("projector", isLarge);
-    projector.setAttribute("aria-pressed", String(isLarge));
-    history.replaceState(null, "", `#/standings/${id}${isLarge ? "?projector=1" : ""}`);
-  }
+  const large = projector(`#/standings/${id}`, query);
+  element.append(h("div", { class: "head" }, title, large.button), how, content);
 
   let run = null;
   let drawn = false;
@@ -45,17 +38,11 @@ export function mount(element, { path, query }) {
     if (!run) content.replaceChildren(failure("There is no such competition any more."));
     else if (id in changed) timer ??= setTimeout(refresh, drawn ? REFRESH_SECONDS * 1000 : 0);
   });
-  const leave = (event) => {
-    if (event.key === "Escape") large(false);
-  };
-  document.addEventListener("keydown", leave);
-  large(query.get("projector") === "1");
   return () => {
     ended = true;
     stop();
-    document.removeEventListener("keydown", leave);
     clearTimeout(timer);
-    document.body.classList.remove("projector");
+    large.close();
   };
 }
 

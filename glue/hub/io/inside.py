@@ -61,6 +61,7 @@ class InsideTransport:
     ) -> None:
         self._hub = hub
         self._wait = 1.0
+        self._new = True
         self._received: deque[Message] = deque()
         self._calls: deque[tuple[_InsidePlayer, Message]] = deque()
         joining = [_InsidePlayer(role, player, self._calls) for role, player in players.items()]
@@ -93,7 +94,13 @@ class InsideTransport:
         return loop.alone(send)
 
     def receive_message(self, max_body: int) -> Message | None:
-        """Return the next message; None if none is received in time."""
+        """Return the next message; None if none is received in time.
+
+        The first call returns None at once: nothing comes before the peer has said HELLO.
+        """
+        if self._new:
+            self._new = False
+            return None
         loop, received = self._hub.loop, self._received
         try:
             loop.alone(self._take_turns)

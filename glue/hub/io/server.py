@@ -43,6 +43,8 @@ class Hub(Closing):
             the hub does not wait for it. Or a `Log`, for more options; the hub closes it.
         opened: addresses of `config.bind`, by URL, that are open already; they stay open when the hub closes.
         clock: returns seconds, to measure the time of agents if `config` limits it; by default the system's.
+        processor: returns the seconds that the agent of the only session has used of processors, None if
+            unknown; they count beside the clock, see `glue.hub.timing.TimeBank`.
 
     Attributes:
         config: as given.
@@ -61,6 +63,7 @@ class Hub(Closing):
         log: Callable[[str], None] | Log = lambda line: None,
         opened: Mapping[str, OpenAddress] = _NONE,
         clock: Callable[[], float] | None = None,
+        processor: Callable[[], float | None] | None = None,
     ) -> None:
         self.config = config
         self.log: Log = log if isinstance(log, Log) else Log(log)
@@ -74,7 +77,7 @@ class Hub(Closing):
             self.loop: Loop = Loop(config.heartbeat, self.log.error)
             closing.callback(self.loop.close)
             self.sessions: Sessions = Sessions(
-                config, self.log, clock or system_clock.monotonic, self.loop.at
+                config, self.log, clock or system_clock.monotonic, self.loop.at, processor
             )
             self._channels = Channels(self.loop, config, addresses, self.sessions, self.log)
             closing.callback(self._channels.close)

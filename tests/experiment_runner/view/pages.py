@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
 
+from starlette.types import ASGIApp
+
 from experiment_runner.view import app
 from experiment_runner.view.catalog import Catalog
 from experiment_runner.view.guard import Address
@@ -113,29 +115,36 @@ class Inside:
     ) -> Answer:
         """Send a request, with the cookie and the host unless `headers` has others."""
         given = {"Host": f"127.0.0.1:{self.port}", "Cookie": self.cookie} | dict(headers or {})
-        raw, _, query = path.partition("?")
-        scope = {
-            "type": "http",
-            "method": method,
-            "path": unquote(raw),
-            "raw_path": raw.encode(),
-            "query_string": query.encode(),
-            "headers": [(name.lower().encode(), value.encode("latin-1")) for name, value in given.items()],
-            "scheme": "http",
-            "server": ("127.0.0.1", self.port),
-        }
-        sent: list[Any] = []
+        return asked(self._app, path, given, method, content)
 
-        async def receive() -> dict[str, object]:
-            return {"type": "http.request", "body": content}
 
-        async def send(message: Any) -> None:
-            sent.append(message)
+def asked(
+    app: ASGIApp, path: str, headers: Mapping[str, str], method: str = "GET", content: bytes = b""
+) -> Answer:
+    """Return the answer of an application to a request, without a server."""
+    raw, _, query = path.partition("?")
+    scope = {
+        "type": "http",
+        "method": method,
+        "path": unquote(raw),
+        "raw_path": raw.encode(),
+        "query_string": query.encode(),
+        "headers": [(name.lower().encode(), value.encode("latin-1")) for name, value in headers.items()],
+        "scheme": "http",
+        "server": ("127.0.0.1", 8097),
+    }
+    sent: list[Any] = []
 
-        asyncio.run(self._app(scope, receive, send))
-        start, *parts = sent
-        found = {name.decode().lower(): value.decode() for name, value in start["headers"]}
-        return Answer(start["status"], found, b"".join(part["body"] for part in parts))
+    async def receive() -> dict[str, object]:
+        return {"type": "http.request", "body": content}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    asyncio.run(app(scope, receive, send))
+    start, *parts = sent
+    found = {name.decode().lower(): value.decode() for name, value in start["headers"]}
+    return Answer(start["status"], found, b"".join(part["body"] for part in parts))
 
 
 class Stream:
@@ -162,18 +171,23 @@ class Stream:
         self._connection.close()
 
 
-@contextlib.contextmanager
-def glue_view(*arguments: object, cwd: Path | None = None) -> Iterator[Page]:
+def glue_view(*arguments: object, cwd: Path | None = None) -> contextlib.AbstractContextManager[Page]:
     """Run `glue-view` at a free port until the context ends."""
     command = ("glue-view", *map(str, arguments), "--no-browser", "--port", "0")
-    terminal = Terminal(*command, cwd=cwd or Path.cwd())
+    return shown_by(*command, cwd=cwd or Path.cwd())
+
+
+@contextlib.contextmanager
+def shown_by(*command: str, cwd: Path) -> Iterator[Page]:
+    """Run a command that serves a page until the context ends."""
+    terminal = Terminal(*command, cwd=cwd)
 
     def end(number: signal.Signals) -> int:
         terminal.send_signal(number)
         return terminal.end()
 
     try:
-        page = Page(end, terminal.wait_for(r"http://\S+")[0])
+        page = Page(end, terminal.wait_for(r"http://\S+token=\S+")[0])
         page.log_in()
         with contextlib.closing(page):
             yield page

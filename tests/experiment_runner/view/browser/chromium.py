@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -23,7 +24,18 @@ return Object.fromEntries([...document.querySelectorAll("table")].map((table) =>
   table.caption?.textContent ?? "",
   [...table.tBodies[0].rows].map((row) => [...row.cells].map((cell) => cell.textContent))]))
 """
+_AXE = Path(os.environ.get("AXE_CORE", "nowhere"))
+"""axe.min.js, which the stage `page` of .ci/run installs with npm."""
+
+_FAULTS = """
+return axe.run(document, { resultTypes: ["violations"] }).then((found) => found.violations
+  .filter((one) => !arguments[0].length || arguments[0].includes(one.impact))
+  .map((one) => `${one.id}: ${one.nodes.map((node) => `${node.html} ${node.failureSummary}`).join("; ")}`))
+"""
 _Found = TypeVar("_Found")
+
+needs_axe = pytest.mark.skipif(not _AXE.is_file(), reason="needs axe-core: AXE_CORE=.../axe.min.js")
+"""Skips a test that calls `Browser.faults` where axe-core is missing."""
 
 
 def needed() -> None:
@@ -116,6 +128,11 @@ class Browser:
     def screenshot(self) -> bytes:
         """Return a screenshot as PNG."""
         return bytes(self.driver.get_screenshot_as_png())
+
+    def faults(self, *impacts: str) -> list[str]:
+        """Return what axe-core finds wrong with the page, of some impacts or of all."""
+        self.run(_AXE.read_text("utf-8"))
+        return list(self.run(_FAULTS, impacts))
 
     def errors(self) -> list[str]:
         """Return the errors in the browser's console since the last call."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 
 from tests.experiment_runner.competition.contest import compete, write
-from tests.experiment_runner.view.browser.chromium import Browser, needed
+from tests.experiment_runner.view.browser.chromium import Browser, needed, needs_axe
 from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_curves import store_run
@@ -17,14 +16,7 @@ from tests.forked import run
 
 needed()
 
-AXE = Path(os.environ.get("AXE_CORE", "nowhere"))
-"""axe.min.js, which the stage `page` of .ci/run installs with npm."""
-
-_FAULTS = """
-return axe.run(document, { resultTypes: ["violations"] }).then((found) => found.violations
-  .filter((one) => ["serious", "critical"].includes(one.impact))
-  .map((one) => `${one.id}: ${one.nodes.map((node) => `${node.html} ${node.failureSummary}`).join("; ")}`))
-"""
+SERIOUS = ("serious", "critical")
 TAB, ENTER = "\ue004", "\ue007"
 
 
@@ -64,7 +56,7 @@ def open_view(browser: Browser, page: Page, view: str) -> None:
     browser.shows(VIEWS[view])
 
 
-@pytest.mark.skipif(not AXE.is_file(), reason="needs axe-core: AXE_CORE=.../axe.min.js")
+@needs_axe
 @pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("view", VIEWS)
 def test_axe_finds_nothing_serious(browser: Browser, page: Page, view: str, is_dark: bool) -> None:
@@ -72,19 +64,17 @@ def test_axe_finds_nothing_serious(browser: Browser, page: Page, view: str, is_d
     open_view(browser, page, view)
     for summary in browser.driver.find_elements("css selector", "main details:not([open]) > summary"):
         summary.click()
-    browser.run(AXE.read_text("utf-8"))
-    assert browser.run(_FAULTS) == []
+    assert browser.faults(*SERIOUS) == []
 
 
-@pytest.mark.skipif(not AXE.is_file(), reason="needs axe-core: AXE_CORE=.../axe.min.js")
+@needs_axe
 def test_axe_finds_nothing_serious_in_a_live_game(browser: Browser, page: Page, folder: Path) -> None:
     with playing("--out", "live", "--ask", "values", cwd=folder):
         browser.go(f"game/{started(page, page.stream('topic=runs'))}")
         browser.find("[data-answer]")
-        browser.run(AXE.read_text("utf-8"))
         for is_dark in (False, True):
             browser.set_dark(is_dark)
-            assert browser.run(_FAULTS) == []
+            assert browser.faults(*SERIOUS) == []
 
 
 @pytest.mark.parametrize("view", VIEWS)

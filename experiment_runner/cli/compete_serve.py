@@ -1,0 +1,298 @@
+"""`glue-compete serve`, and the acts of its organiser."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from experiment_runner.cli.options import DIRECTORY, naming_out
+from experiment_runner.plan.limits import Backend
+from glue.console import one_line, say
+from glue.errors import ConfigError, ExperimentError
+from glue.files import read_text
+from glue.hub.config import DEFAULT_HUB
+
+_READ = click.Path(path_type=Path, dir_okay=False)
+_DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
+
+
+def _reason(context: click.Context, option: click.Parameter, text: str) -> str:
+    if not text.strip() or not text.isprintable():
+        raise click.BadParameter("a reason is a line of printable text")
+    return text.strip()
+
+
+_WHY: Final = click.option(
+    "--why",
+    "--reason",
+    "why",
+    required=True,
+    callback=_reason,
+    metavar="TEXT",
+    help="Reason, in a line for all to read: it is sealed with the run, and shown on the board.",
+)
+
+
+@click.command()
+@click.argument("file", type=_READ, metavar="FILE")
+@click.option(
+    "--out",
+    type=DIRECTORY,
+    required=True,
+    metavar="DIR",
+    help="Directory of the season; if it contains this season, it goes on where it was.",
+)
+@click.option(
+    "--bind",
+    default=DEFAULT_HUB,
+    show_default=True,
+    metavar="URL",
+    help="Address for entrants with keys, and the first of as many ports as attempts are played at once.",
+)
+@click.option("--keys", type=DIRECTORY, metavar="DIR", help="Directory with the hub's pair; see glue-keys.")
+@click.option("--page", metavar="HOST:PORT", help="Address of the page of the season; none without it.")
+@click.option(
+    "--proxy", default="", metavar="URL", help="Address at which browsers find the page behind a proxy."
+)
+@click.option(
+    "--insecure", is_flag=True, help="Allow a --page that other machines can reach without encryption."
+)
+@click.option(
+    "--publish", type=DIRECTORY, metavar="DIR", help="Folder into which the public page is written."
+)
+@click.option(
+    "--log-format",
+    type=click.Choice(["text", "json"]),
+    default="text",
+    show_default=True,
+    help="Lines of the log: for people, or a JSON object each with time and message.",
+)
+@click.option(
+    "--engine",
+    type=click.Choice([Backend.LOCAL.value, Backend.RAY.value]),
+    default=Backend.LOCAL.value,
+    show_default=True,
+    help="Where attempts of images and commands are played: on this machine, or on a Ray cluster.",
+)
+@click.option("--address", metavar="HOST:PORT", help="Ray cluster; by default the one that Ray finds.")
+def serve(
+    file: Path,
+    out: Path,
+    bind: str,
+    keys: Path | None,
+    page: str | None,
+    proxy: str,
+    insecure: bool,
+    publish: Path | None,
+    log_format: str,
+    engine: str,
+    address: str | None,
+) -> None:
+    """Hold the season of FILE, for weeks: let entrants play attempts, and verify each at its end.
+
+    It ends when `close` closes the season. Whatever stops it before, the same command goes on where it was.
+    """
+    from experiment_runner.competition.organiser import open_competition
+    from experiment_runner.competition.season.executors import executor_of
+    from experiment_runner.competition.season.service import check_gate
+    from experiment_runner.competition.season.service import serve as hold
+    from experiment_runner.competition.settings import Gate, load_competition
+    from experiment_runner.competition.trials import read_code, read_secret
+    from experiment_runner.executors.opening import kept_if_begun
+    from experiment_runner.executors.ray_cluster import parse_address
+    from experiment_runner.view.launch import check_view, season_viewed
+
+    log = say if log_format == "text" else _log_json
+    if address is not None:
+        if engine != Backend.RAY.value:
+            raise ConfigError("--address is the address of a Ray cluster: add --engine ray")
+        parse_address(address)
+    if page is not None:
+        check_view("page")
+    competition = load_competition(file)
+    secret = read_secret(competition, os.environ, log)
+    code = None if competition.season is None else read_code(competition.season, os.environ, log)
+    gate = None if keys is None else Gate(bind, keys.absolute())
+
+    def kept() -> None:
+        log("nothing is lost: start the same command again")
+
+    with kept_if_begun(out, kept), ExitStack() as stack:
+        with naming_out():
+            text = read_text(file, follow=True)
+            store = stack.enter_context(open_competition(out, text, competition, secret))
+        check_gate(competition, gate)
+        executor = executor_of(competition, Backend(engine), address)
+        if page is not None:
+            stack.enter_context(
+                season_viewed(out, page=page, proxy=proxy, insecure=insecure, publish=publish, say=log)
+            )
+        log(f"the season is served from {out}")
+        hold(store, competition, secret, code, gate, executor, log)
+        log(f"the season is closed; now: glue-compete run {file} --out {out}")
+
+
+def _log_json(line: str) -> None:
+    now = datetime.now(UTC).isoformat(timespec="milliseconds")
+    print(json.dumps({"time": now, "message": line}), file=sys.stderr, flush=True)
+
+
+@click.command()
+@_DIRECTORY
+@click.argument("file", type=_READ, metavar="FILE")
+@_WHY
+def add(directory: Path, file: Path, why: str) -> None:
+    """Add the entrants of FILE that the run in DIR does not have yet.
+
+    In a season they play at once; in a run, when `run` is started again.
+    """
+    organise(directory, "add", why=why, file=str(file.absolute()))
+
+
+@click.command()
+@_DIRECTORY
+@click.argument("entrants", nargs=-1, required=True, metavar="ENTRANT...")
+@_WHY
+def exclude(directory: Path, entrants: tuple[str, ...], why: str) -> None:
+    """Take entrants of the run in DIR off the board; everything that they played is kept."""
+    for name in dict.fromkeys(entrants):
+        organise(directory, "exclude", subject=name, why=why)
+
+
+@click.command()
+@_DIRECTORY
+@click.argument("entrant", metavar="ENTRANT")
+@_WHY
+def readmit(directory: Path, entrant: str, why: str) -> None:
+    """Put an entrant that was excluded from the run in DIR back on the board."""
+    organise(directory, "readmit", subject=entrant, why=why)
+
+
+@click.command()
+@_DIRECTORY
+@click.argument("which", nargs=-1, required=True, metavar="TRIAL... | ENTRANT [ATTEMPT]")
+@_WHY
+def rerun(directory: Path, which: tuple[str, ...], why: str) -> None:
+    """Have something played again, on the same levels; it counts instead of the old, which is kept.
+
+    In a season, an attempt of an entrant, by default its last; in a run, trials such as alice/easy/0, which
+    `run` then plays.
+    """
+    if "/" in which[0]:
+        for trial in dict.fromkeys(which):
+            organise(directory, "rerun", subject=trial, why=why)
+        say(f"now: glue-compete run FILE --out {directory}")
+        return
+    name, *number = which
+    if len(number) > 1 or not all(text.isdecimal() and len(text) < 10 for text in number):
+        raise click.UsageError("name an entrant and at most one attempt, as in: alice 3")
+    organise(directory, "rerun", subject=name, why=why, number=int(number[0]) if number else 0)
+
+
+@click.command()
+@_DIRECTORY
+@click.argument("entrant", metavar="ENTRANT")
+@click.argument("number", type=click.IntRange(1, 10_000), metavar="N")
+@_WHY
+def grant(directory: Path, entrant: str, number: int, why: str) -> None:
+    """Grant an entrant of the season in DIR further attempts, on whatever day."""
+    organise(directory, "grant", subject=entrant, why=why, number=number)
+
+
+@click.command()
+@_DIRECTORY
+@click.argument("entrant", default="", metavar="[ENTRANT]")
+@_WHY
+def pause(directory: Path, entrant: str, why: str) -> None:
+    """Start no more attempts of an entrant of the season in DIR, or of anybody; what plays goes on."""
+    organise(directory, "pause", subject=entrant, why=why)
+
+
+@click.command()
+@_DIRECTORY
+@click.argument("entrant", default="", metavar="[ENTRANT]")
+@_WHY
+def resume(directory: Path, entrant: str, why: str) -> None:
+    """End a pause of an entrant of the season in DIR, or of the whole season."""
+    organise(directory, "resume", subject=entrant, why=why)
+
+
+@click.command()
+@_DIRECTORY
+@_WHY
+def freeze(directory: Path, why: str) -> None:
+    """Stop the public board of the season in DIR from changing; the organiser's still does."""
+    organise(directory, "freeze", why=why)
+
+
+@click.command()
+@_DIRECTORY
+@_WHY
+def thaw(directory: Path, why: str) -> None:
+    """Let the public board of the season in DIR show everything again."""
+    organise(directory, "thaw", why=why)
+
+
+@click.command()
+@_DIRECTORY
+@click.argument("text", callback=_reason, metavar="TEXT")
+def announce(directory: Path, text: str) -> None:
+    """Show a line of text on the board of the run in DIR."""
+    organise(directory, "announce", why=text)
+
+
+@click.command()
+@_DIRECTORY
+@_WHY
+def close(directory: Path, why: str) -> None:
+    """End the season in DIR: what waits is cancelled, what plays is played to its end."""
+    organise(directory, "close", why=why)
+
+
+ACTS: Final = (add, announce, close, exclude, freeze, grant, pause, readmit, rerun, resume, thaw)
+
+
+def organise(directory: Path, kind: str, **wish: Any) -> None:
+    """Carry out a wish of the organiser, by the server of the run if there is one, and show the acts.
+
+    Raises:
+        ExperimentError: it is refused, or the directory holds no competition.
+    """
+    from experiment_runner.competition.season.control import NoServer, ask
+
+    try:
+        reply = ask(directory, {"do": "act", "act": kind, **wish})
+    except NoServer:
+        lines = _by_itself(directory, kind, wish)
+    else:
+        if not reply["ok"]:
+            raise ExperimentError(one_line(str(reply["error"])))
+        lines = reply["acts"]
+    for line in lines:
+        say(line)
+
+
+def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]:
+    """Write the acts of a wish to the journal of a run that nobody serves."""
+    from experiment_runner.competition.board.forms import line_of
+    from experiment_runner.competition.course import Course, act_on
+    from experiment_runner.competition.records.journal import Act
+    from experiment_runner.competition.season.acts import acts_for
+    from experiment_runner.competition.season.control import Organise
+    from experiment_runner.competition.season.service import utc_now
+    from experiment_runner.competition.season.state import SeasonState
+    from experiment_runner.store.results import Results
+
+    def acts(course: Course, results: Results) -> list[Act]:
+        state = None if course.competition.season is None else SeasonState.of(course)
+        return acts_for(Organise(kind, **wish), course, state, results.outcomes(), utc_now())
+
+    return [line_of(one) for one in act_on(directory, acts)]

@@ -1,0 +1,537 @@
+"""The board of a season: a function of its journal and records, for the eyes of one viewer.
+
+Only verified attempts have a score: the sum over the tasks of the mean over their trials, each the sum of all
+its rewards. A forfeited trial scores as in `experiment_runner.competition.board.standings`.
+Entrants are ordered by the unrounded score of the attempts that count. An attempt that was run again is, with
+everything that follows from it, as if it had been so from the start.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from functools import cached_property
+from itertools import accumulate
+from typing import Final
+
+import numpy as np
+
+from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+from experiment_runner.competition.board.standings import Forfeit, interval
+from experiment_runner.competition.course import Course
+from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.journal import EVERYBODY, Act, time_text
+from experiment_runner.competition.season.schedule import queue
+from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
+from experiment_runner.competition.settings import Competition
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.store.records import ReplayVerdict, TrialEnd
+from experiment_runner.store.results import Results
+
+PUBLIC: Final = ""
+"""The viewer who is nobody in particular."""
+
+ORGANISER: Final = "*"
+"""The viewer who sees everything, at once. Any other viewer is the name of an entrant."""
+
+_OF_ALL: Final = (
+    *(journal.ADD, journal.EXCLUDE, journal.READMIT, journal.RERUN),
+    *(journal.FREEZE, journal.THAW, journal.CHANGE, journal.CLOSE),
+)
+_OF_ITS_OWNER: Final = (journal.PAUSE, journal.RESUME, journal.GRANT)
+"""Acts that are shown to everybody, and those about an entrant that are shown to its owner."""
+
+_TIMES: Final = 200
+_FLIPS: Final = 999
+_LEVEL: Final = 0.05
+_ROUNDING: Final = 1e-9
+_AT_ONCE: Final = 32
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptRow:
+    """An attempt on the board. Times are UTC, as in the journal; empty if there is none.
+
+    Args:
+        number: among its entrant's, from 1.
+        state: `waiting`, `playing`, `verified`, `forfeited`, `unverified` (its replay does not match), `over`
+            (during a freeze), `ours` or `cancelled`.
+        requested, began, ended: times.
+        score: see above, over the tasks that this viewer may know; NaN unless verified or forfeited.
+        tasks: the score of each of these tasks.
+        counts: whether it is among those that make its entrant's score.
+        forfeits: of its trials; numbers are those of the levels, from 0.
+        place: in the queue, from 1; 0 if it does not wait.
+        instead: number of the attempt that it replaces; 0 if none.
+        withdrawn: whether its owner has withdrawn it.
+        why: reason for its state, for its owner and the organiser; empty for others, and without one.
+    """
+
+    number: int
+    state: str
+    requested: str
+    began: str = ""
+    ended: str = ""
+    score: float = math.nan
+    tasks: Mapping[str, float] = field(default_factory=dict)
+    counts: bool = False
+    forfeits: tuple[Forfeit, ...] = ()
+    place: int = 0
+    instead: int = 0
+    withdrawn: bool = False
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class EntrantRow:
+    """An entrant on the board.
+
+    Args:
+        shown: its pseudonym or its name, as the season shows it to this viewer.
+        name: its own name; empty for those who may not know it.
+        team: empty if it has none, or for those who may not know it.
+        place: by the score, from 1; equal scores share it; None without a score.
+        score: see above; NaN without one.
+        low, high: its 95 % bootstrap interval over trials.
+        tasks: score in each task.
+        like: the best place above such that it is not separated from that one, nor from any in between: a
+            paired randomisation test over the levels does not reject at 5 % that they are equal. None if it
+            is separated from the place above. Fewer than 6 levels separate nobody.
+        counts: number of attempts in each state that there was.
+        attempts: oldest first.
+        places: its place at each of `SeasonBoard.times`; None before it had one.
+        missing: why it has no place; empty if it has one.
+        paused: why its attempts wait, for its owner and the organiser; empty if they need not.
+        mine: whether this viewer is its owner.
+    """
+
+    shown: str
+    name: str = ""
+    team: str = ""
+    place: int | None = None
+    score: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    tasks: Mapping[str, float] = field(default_factory=dict)
+    like: int | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    attempts: tuple[AttemptRow, ...] = ()
+    places: tuple[int | None, ...] = ()
+    missing: str = ""
+    paused: str = ""
+    mine: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SeasonBoard:
+    """The board of a season.
+
+    Args:
+        competition: its name.
+        phase: `before` it opens, `open`, `over` when no more attempts can be asked for, or `closed`.
+        opens, closes: times, UTC.
+        frozen: since when this board is frozen; empty if it is not.
+        paused: the reason why no attempt is let play; empty if attempts are.
+        count: see `Season`.
+        tasks: those with scores for this viewer, in order.
+        hidden: the others.
+        entrants: those with a place first, by place.
+        times: at which places over time are given, oldest first; at most 200.
+        playing, waiting: attempts, each the entrant as shown and the number; those that wait in their order.
+        announcements: each its time and text, newest first.
+        acts: of the organiser that this viewer may know, newest first; entrants are named as shown.
+    """
+
+    competition: str
+    phase: str
+    opens: str
+    closes: str
+    frozen: str
+    paused: str
+    count: str
+    tasks: tuple[str, ...]
+    hidden: tuple[str, ...]
+    entrants: tuple[EntrantRow, ...]
+    times: tuple[str, ...]
+    playing: tuple[tuple[str, int], ...]
+    waiting: tuple[tuple[str, int], ...]
+    announcements: tuple[tuple[str, str], ...]
+    acts: tuple[Act, ...]
+
+
+def season_board(results: Results, course: Course, now: datetime, viewer: str = PUBLIC) -> SeasonBoard:
+    """Return the board of a season.
+
+    The seal is not checked here, see `experiment_runner.competition.records.seal.check_seal`: it covers all
+    that was ever played, and the board is looked at often.
+
+    Args:
+        results: of the run.
+        course: its tasks, entrants and acts.
+        now: the time.
+        viewer: `PUBLIC`, `ORGANISER` or the name of an entrant.
+
+    Raises:
+        ExperimentError: the run cannot be read, or the competition has no season.
+    """
+    return Boards(course, results.outcomes(), results.verdicts(), now).seen_by(viewer)
+
+
+class Boards:
+    """The boards of a season for all viewers; what takes time is done once for the organiser, and once for
+    all others.
+
+    Args:
+        course: tasks, entrants and acts.
+        outcomes, verdicts: of the trials, by id.
+        now: the time.
+
+    Raises:
+        ExperimentError: the competition has no season.
+    """
+
+    def __init__(
+        self,
+        course: Course,
+        outcomes: Mapping[str, TrialEnd],
+        verdicts: Mapping[str, ReplayVerdict],
+        now: datetime,
+    ) -> None:
+        self.course = course
+        self.now = now
+        self.state = SeasonState.of(course)
+        self.played = {
+            (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts)
+            for one in self.state.attempts("over")
+        }
+
+    def seen_by(self, viewer: str) -> SeasonBoard:
+        """Return the board for `PUBLIC`, for `ORGANISER` or for the entrant of this name."""
+        return self._whole.board(viewer) if viewer == ORGANISER else self._public.board(viewer)
+
+    @cached_property
+    def _public(self) -> _Board:
+        return _Board(self, self.state.closed is not None, self.state.frozen_at(self.now))
+
+    @cached_property
+    def _whole(self) -> _Board:
+        return _Board(self, True, None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Played:
+    """The trials of an attempt that is over.
+
+    Args:
+        scores: verified, of each trial of each task.
+        forfeits: of its trials.
+        verified: whether all of them were.
+    """
+
+    scores: Mapping[str, Sequence[float]]
+    forfeits: tuple[Forfeit, ...]
+    verified: bool
+
+
+@dataclass(slots=True)
+class _Placed:
+    """What places an entrant: the attempts that stand, by the time from which each does, with their scores.
+
+    Args:
+        name: of the entrant.
+        since: when each attempt's predecessor, in whose place it stands, was over; in ascending order.
+        counting: numbers of the attempts that count.
+        totals: scores of all that stand.
+        tasks: score of each trial of each task, of the attempts that count, shape (tasks, trials).
+        place: see `EntrantRow`.
+        like: likewise.
+    """
+
+    name: str
+    since: list[datetime]
+    counting: list[int]
+    totals: list[float]
+    tasks: FloatArray
+    place: int = 0
+    like: int | None = None
+
+
+def _played_in(
+    attempt: Attempt,
+    competition: Competition,
+    outcomes: Mapping[str, TrialEnd],
+    verdicts: Mapping[str, ReplayVerdict],
+) -> _Played:
+    scores: dict[str, list[float]] = {}
+    forfeits: list[Forfeit] = []
+    verified = True
+    for task in competition.proving:
+        for number in range(competition.trials):
+            at = (attempt.number - 1) * competition.trials + number
+            trial = TrialId.of(attempt.entrant, task.name, at)
+            outcome, verdict = outcomes.get(trial), verdicts.get(trial)
+            verified &= outcome is not None and verdict is not None and verdict.problem is None
+            if outcome is not None and outcome.reason is not None:
+                forfeits.append(Forfeit(task.name, number, outcome.reason))
+            scores.setdefault(task.name, []).append(math.nan if verdict is None else verdict.score)
+    return _Played(scores, tuple(forfeits), verified)
+
+
+class _Board:
+    """The board for those who may know the same of entrants that are not theirs.
+
+    Args:
+        of: the boards that it is one of.
+        told: whether they may know the scores of hidden tasks.
+        until: when attempts were over that they may know of; None for no limit.
+    """
+
+    def __init__(self, of: Boards, told: bool, until: datetime | None) -> None:
+        self._of = of
+        self._state = state = of.state
+        self._until = until
+        proving = of.course.competition.proving
+        self._tasks = tuple(task.name for task in proving if told or not task.hidden)
+        self._hidden = tuple(task.name for task in proving if task.name not in self._tasks)
+        self._queue = {(one.entrant, one.number): i for i, one in enumerate(queue(state), 1)}
+        self._lowest = self._lowest_scores()
+        self._placed = self._places_of()
+        self._times = _spread(sorted({time for one in self._placed.values() for time in one.since}))
+        self._over_time = _places(list(self._placed.values()), self._times, state.season.count)
+        self._acts = [one for one in reversed(of.course.acts) if one.act in (*_OF_ALL, *_OF_ITS_OWNER)]
+        self._rows: dict[str, EntrantRow] = {}
+
+    def board(self, viewer: str) -> SeasonBoard:
+        """Return the board for one of them."""
+        state, season, now = self._state, self._state.season, self._of.now
+        shown = [self._row(entrant, viewer) for entrant in state.entrants.values()]
+        if state.closed is not None:
+            phase = "closed"
+        else:
+            phase = "before" if now < season.opens else "open" if now < season.closes else "over"
+        return SeasonBoard(
+            self._of.course.competition.name,
+            phase,
+            _text(season.opens),
+            _text(season.closes),
+            _text(self._until),
+            state.paused,
+            season.count,
+            self._tasks,
+            self._hidden,
+            tuple(sorted(shown, key=lambda row: (row.place or math.inf, row.shown))),
+            tuple(map(_text, self._times)),
+            tuple((self._shown(one.entrant, viewer), one.number) for one in state.attempts("playing")),
+            tuple((self._shown(name, viewer), number) for name, number in self._queue),
+            tuple((one.time, one.reason) for one in reversed(state.announcements)),
+            tuple(self._acts_for(viewer)),
+        )
+
+    def _shown(self, name: str, viewer: str) -> str:
+        if _knows(viewer, name) or self._state.season.names == "own":
+            return name
+        return self._state.entrants[name].act.alias or name
+
+    def _standing(self, entrant: Enrolled) -> list[tuple[Attempt, Attempt]]:
+        """Return the verified attempts that stand; see `Enrolled.standing`."""
+        if entrant.excluded:
+            return []
+        found = entrant.standing(self._until)
+        return [(root, one) for root, one in found if self._of.played[one.entrant, one.number].verified]
+
+    def _lowest_scores(self) -> dict[tuple[str, int], float]:
+        """Return the lowest score of each level among those who played it to the end."""
+        lowest: dict[tuple[str, int], float] = {}
+        for entrant in self._state.entrants.values():
+            for _, one in self._standing(entrant):
+                played = self._of.played[one.entrant, one.number]
+                left = {(lost.task, lost.trial) for lost in played.forfeits}
+                for task, scores in played.scores.items():
+                    for number, score in enumerate(scores):
+                        if (task, number) not in left:
+                            lowest[task, number] = min(score, lowest.get((task, number), math.inf))
+        return lowest
+
+    def _scores(self, attempt: Attempt) -> FloatArray:
+        """Return the scores of an attempt's trials, shape (tasks, trials)."""
+        played = self._of.played[attempt.entrant, attempt.number]
+        scores = np.array([played.scores[task] for task in self._tasks])
+        for lost in played.forfeits:
+            if lost.task in self._tasks:
+                at = self._tasks.index(lost.task), lost.trial
+                scores[at] = min(scores[at], self._lowest.get((lost.task, lost.trial), math.inf))
+        return scores
+
+    def _places_of(self) -> dict[str, _Placed]:
+        found: list[_Placed] = []
+        for name, entrant in self._state.entrants.items():
+            if standing := self._standing(entrant):
+                scores = [self._scores(one) for _, one in standing]
+                totals = [_total(one) for one in scores]
+                counting = _counting(totals, self._state.season.count)
+                since = accumulate((root.ended or root.requested for root, _ in standing), max)
+                tasks = np.mean([scores[i] for i in counting], axis=0)
+                numbers = [standing[i][1].number for i in counting]
+                found.append(_Placed(name, list(since), numbers, totals, tasks))
+        _compare(found, self._state.season.count)
+        return {one.name: one for one in found}
+
+    def _row(self, entrant: Enrolled, viewer: str) -> EntrantRow:
+        """Return the row of an entrant; what others see is made once."""
+        mine = entrant.name == viewer
+        row = self._rows.get(entrant.name)
+        if row is None or mine:
+            row = self._made(entrant, viewer)
+        if not mine:
+            self._rows[entrant.name] = row
+        return row
+
+    def _made(self, entrant: Enrolled, viewer: str) -> EntrantRow:
+        name, knows = entrant.name, _knows(viewer, entrant.name)
+        named = knows or self._state.season.names == "own"
+        attempts = [self._attempt(one, knows) for one in entrant.attempts.values()]
+        row = EntrantRow(
+            self._shown(name, viewer),
+            name if named else "",
+            entrant.act.team if named else "",
+            counts=dict(Counter(one.state for one in attempts)),
+            attempts=tuple(attempts),
+            missing=f"excluded: {entrant.excluded}" if entrant.excluded else "no verified attempt yet",
+            paused=entrant.paused if knows else "",
+            mine=name == viewer,
+        )
+        if (placed := self._placed.get(name)) is None:
+            return row
+        low, high = interval(tuple(tuple(trials) for trials in placed.tasks.tolist()))
+        return replace(
+            row,
+            place=placed.place,
+            score=_score(placed.totals, self._state.season.count),
+            low=low,
+            high=high,
+            tasks=self._by_task(placed.tasks),
+            like=placed.like,
+            places=tuple(self._over_time[name]),
+            missing="",
+        )
+
+    def _attempt(self, one: Attempt, knows: bool) -> AttemptRow:
+        row = AttemptRow(
+            one.number,
+            one.state,
+            _text(one.requested),
+            _text(one.began),
+            _text(one.ended),
+            place=self._queue.get((one.entrant, one.number), 0),
+            instead=one.instead,
+            withdrawn=one.withdrawn,
+            why=one.why if knows else "",
+        )
+        unseen = self._until is not None and one.ended is not None and one.ended > self._until
+        if one.state != "over" or (unseen and not knows):
+            return row
+        played = self._of.played[one.entrant, one.number]
+        if not played.verified:
+            return replace(row, state="unverified")
+        scores = self._scores(one)
+        placed = self._placed.get(one.entrant)
+        return replace(
+            row,
+            state="forfeited" if played.forfeits else "verified",
+            score=_total(scores),
+            tasks=self._by_task(scores),
+            counts=placed is not None and one.number in placed.counting,
+            forfeits=tuple(lost for lost in played.forfeits if lost.task in self._tasks),
+        )
+
+    def _by_task(self, scores: FloatArray) -> dict[str, float]:
+        return {task: float(np.mean(row)) for task, row in zip(self._tasks, scores, strict=True)}
+
+    def _acts_for(self, viewer: str) -> Iterator[Act]:
+        """Yield the acts that a viewer may know, newest first, without what they say of players."""
+        for one in self._acts:
+            name, _, trial = one.subject.partition("/")
+            if one.act in _OF_ALL or one.subject == EVERYBODY or _knows(viewer, name):
+                shown = self._shown(name, viewer) if name in self._state.entrants else name
+                subject = f"{shown}/{trial}" if trial else shown
+                yield replace(one, subject=subject, player="", id="", trial="", alias="", team="", token="")
+
+
+def _knows(viewer: str, name: str) -> bool:
+    """Return whether a viewer may know everything about an entrant."""
+    return viewer in (ORGANISER, name)
+
+
+def _counting(totals: Sequence[float], count: str) -> list[int]:
+    """Return which attempts count, of those with these scores; see `Season.count`."""
+    if count == "mean":
+        return list(range(len(totals)))
+    return [len(totals) - 1 if count == "last" else int(np.argmax(totals))]
+
+
+def _score(totals: Sequence[float], count: str) -> float:
+    return float(np.mean([totals[i] for i in _counting(totals, count)]))
+
+
+def _total(scores: FloatArray) -> float:
+    """Return the score of trials with these scores, shape (tasks, trials)."""
+    return float(sum(float(np.mean(trials)) for trials in scores))
+
+
+def _compare(found: Sequence[_Placed], count: str) -> None:
+    """Give everybody a place, and the best place above from which it is not separated."""
+    if not found:
+        return
+    scores = np.array([_score(one.totals, count) for one in found])
+    for one, score in zip(found, scores, strict=True):
+        one.place = 1 + int(np.sum(scores > score))
+    shares = np.array([one.tasks.ravel() / one.tasks.shape[1] for one in found])  # their sums are the scores
+    flips = bootstrap_rng().choice((-1.0, 1.0), (shares.shape[1], _FLIPS))
+    sums, flipped = shares.sum(axis=1), shares @ flips
+    ranked = sorted(range(len(found)), key=lambda i: found[i].place)
+    for i in ranked:
+        above = ranked[: found[i].place - 1]
+        like = None
+        while above:
+            some, above = above[-_AT_ONCE:], above[:-_AT_ONCE]
+            observed = np.abs(sums[some] - sums[i])
+            by_chance = np.abs(flipped[some] - flipped[i]) >= (1 - _ROUNDING) * observed[:, None]
+            separated = np.flatnonzero((1 + by_chance.sum(axis=1)) / (1 + _FLIPS) <= _LEVEL)
+            first = int(separated[-1]) + 1 if separated.size else 0
+            if first < len(some):
+                like = found[some[first]].place
+            if first:
+                break
+        found[i].like = like
+
+
+def _places(found: Sequence[_Placed], times: Sequence[datetime], count: str) -> dict[str, list[int | None]]:
+    """Return the place of everybody at each time, by name."""
+    scores = np.full((len(found), len(times)), np.nan)
+    for one, row in zip(found, scores, strict=True):
+        after = [_score(one.totals[: i + 1], count) for i in range(len(one.totals))]
+        for at, time in enumerate(times):
+            if known := bisect_right(one.since, time):
+                row[at] = after[known - 1]
+    places = [1 + np.searchsorted(np.sort(-column), -column) for column in scores.T]  # NaN is last
+    return {
+        one.name: [
+            None if np.isnan(score) else int(place[i]) for score, place in zip(row, places, strict=True)
+        ]
+        for i, (one, row) in enumerate(zip(found, scores, strict=True))
+    }
+
+
+def _spread(times: Sequence[datetime]) -> list[datetime]:
+    """Return at most `_TIMES` of these times, the last one among them."""
+    if len(times) <= _TIMES:
+        return list(times)
+    return [times[round(i)] for i in np.linspace(0, len(times) - 1, _TIMES)]
+
+
+def _text(time: datetime | None) -> str:
+    return "" if time is None else time_text(time)

@@ -1,0 +1,291 @@
+"""The control socket of a season's server: `control` in the directory of the run, for its owner alone.
+
+A client sends one request, a JSON object on a line, and receives one reply on a line: `{"ok": true, ...}`, or
+`{"ok": false, "error": TEXT}`, with `retry_after` in seconds if the request may succeed later.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import selectors
+import socket
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from experiment_runner.store.database import StorageError, reported
+from glue.closing import Closing
+from glue.errors import ExperimentError, GlueError
+
+CONTROL: Final = "control"
+"""Name of the socket in the directory of a run."""
+
+Reply = dict[str, Any]
+
+_MOST_BYTES: Final = 2**16
+"""Maximum size of a request."""
+
+_MOST_BYTES_OF_REPLY: Final = 2**22
+
+_MOST_CLIENTS: Final = 64
+"""Clients served at once; others wait to be accepted."""
+
+_PATIENCE_SECONDS: Final = 5.0
+"""Time for a client to send its request, and to read the reply."""
+
+
+class NoServer(ExperimentError):
+    """No server answers for this directory."""
+
+
+class TryLater(ExperimentError):
+    """A request is refused now, and may succeed later.
+
+    Attributes:
+        retry_after: in how many seconds.
+    """
+
+    def __init__(self, message: str, retry_after: float) -> None:
+        super().__init__(message)
+        self.retry_after = retry_after
+
+
+class Organise(msgspec.Struct, tag_field="do", tag="act", forbid_unknown_fields=True):
+    """An act of the organiser; see `experiment_runner.competition.season.acts`.
+
+    Args:
+        act: its kind, as in the journal.
+        subject: the entrant's name, the id of a trial, `*` for all entrants, or empty.
+        why: the reason; the text of an announcement.
+        number: the number of an attempt, or of attempts granted; 0 for none.
+        file: of `add`, the competition's file with the new entrants.
+    """
+
+    act: str
+    subject: str = ""
+    why: str = ""
+    number: int = 0
+    file: str = ""
+
+
+class Enrol(msgspec.Struct, tag_field="do", tag="enrol", forbid_unknown_fields=True):
+    """A stranger wants to take part.
+
+    Args:
+        name: by which it wants to be known.
+        key: its public key.
+        code: for a season with `enrol = "code"`.
+        team: that it belongs to.
+    """
+
+    name: str
+    key: str
+    code: str = ""
+    team: str = ""
+
+
+class Attempt(msgspec.Struct, tag_field="do", tag="attempt", forbid_unknown_fields=True):
+    """An entrant wants to play, or asks how its attempt goes.
+
+    Args:
+        entrant: its name.
+        attempt: number of the attempt that it asks about; 0 for the one that waits or plays, or a new one.
+    """
+
+    entrant: str
+    attempt: int = 0
+
+
+class Key(msgspec.Struct, tag_field="do", tag="key", forbid_unknown_fields=True):
+    """The public key with which an entrant's requests are signed is asked for."""
+
+    entrant: str
+
+
+class Withdraw(msgspec.Struct, tag_field="do", tag="withdraw", forbid_unknown_fields=True):
+    """An entrant takes an attempt off the board."""
+
+    entrant: str
+    attempt: int
+
+
+class Submit(msgspec.Struct, tag_field="do", tag="submit", forbid_unknown_fields=True):
+    """An entrant has uploaded an image, which plays its attempts from now on.
+
+    Args:
+        entrant: its name.
+        image: id of the image.
+        name: what its owner calls it.
+    """
+
+    entrant: str
+    image: str
+    name: str
+
+
+class Status(msgspec.Struct, tag_field="do", tag="status", forbid_unknown_fields=True):
+    """What plays, and what waits."""
+
+
+Request = Organise | Enrol | Attempt | Key | Withdraw | Submit | Status
+
+_DECODER: Final = msgspec.json.Decoder(Request)
+
+
+class Door(Closing):
+    """The server's end of the socket.
+
+    Args:
+        directory: of the run, whose lock the caller holds.
+        clock: returns seconds.
+
+    Raises:
+        StorageError: the socket cannot be made.
+    """
+
+    def __init__(self, directory: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._path = directory / CONTROL
+        self._clients: dict[socket.socket, tuple[bytearray, float]] = {}
+        """What each has sent, and the time by which it has to be complete."""
+        self._ready = selectors.DefaultSelector()
+        self._listener = socket.socket(socket.AF_UNIX)
+        with reported(f"cannot make {self._path}"), _short(directory) as short:
+            self._path.unlink(missing_ok=True)  # of a server that was killed
+            before = os.umask(0o177)
+            try:
+                self._listener.bind(short)
+            finally:
+                os.umask(before)
+            self._listener.listen()
+        self._listener.setblocking(False)
+        self._ready.register(self._listener, selectors.EVENT_READ)
+
+    def serve(self, answer: Callable[[Request], Reply], seconds: float) -> None:
+        """Answer the requests that are there, or come within `seconds`.
+
+        A `GlueError` from `answer` refuses the request.
+
+        Raises:
+            StorageError: from `answer`, after the request was refused.
+        """
+        for key, _ in self._ready.select(seconds):
+            found = key.fileobj
+            assert isinstance(found, socket.socket)
+            if found is self._listener:
+                self._accept()
+            elif (line := self._read(found)) is not None:
+                self._reply(found, answer, line)
+        now = self._clock()
+        for client in [client for client, (_, until) in self._clients.items() if now > until]:
+            self._drop(client)
+
+    def close(self) -> None:
+        """Close the socket, and remove it."""
+        for client in list(self._clients):
+            self._drop(client)
+        self._listener.close()
+        self._ready.close()
+        self._path.unlink(missing_ok=True)
+
+    def _accept(self) -> None:
+        with suppress(BlockingIOError, ConnectionError):
+            client, _ = self._listener.accept()
+            client.setblocking(False)
+            self._clients[client] = bytearray(), self._clock() + _PATIENCE_SECONDS
+            self._ready.register(client, selectors.EVENT_READ)
+            self._listen()
+
+    def _listen(self) -> None:
+        """Accept clients only while there is room for more."""
+        room, listening = len(self._clients) < _MOST_CLIENTS, self._listener in self._ready.get_map()
+        if room and not listening:
+            self._ready.register(self._listener, selectors.EVENT_READ)
+        elif listening and not room:
+            self._ready.unregister(self._listener)
+
+    def _read(self, client: socket.socket) -> bytes | None:
+        """Return the request of a client, once it is complete."""
+        received, _ = self._clients[client]
+        try:
+            data = client.recv(_MOST_BYTES)
+        except BlockingIOError:
+            return None
+        except ConnectionError:
+            data = b""
+        received += data
+        line, end, _ = received.partition(b"\n")
+        if end and len(line) <= _MOST_BYTES:
+            return bytes(line)
+        if not data or len(received) > _MOST_BYTES:
+            self._drop(client)
+        return None
+
+    def _reply(self, client: socket.socket, answer: Callable[[Request], Reply], line: bytes) -> None:
+        failed = None
+        try:
+            reply = {"ok": True, **answer(_DECODER.decode(line))}
+        except TryLater as error:
+            reply = {"ok": False, "error": str(error), "retry_after": error.retry_after}
+        except (GlueError, ValueError, RecursionError) as error:
+            failed = error
+            reply = {"ok": False, "error": str(error)}
+        except Exception as error:  # a fault of ours ends one request, and nobody's attempt
+            traceback.print_exception(error)
+            reply = {"ok": False, "error": f"the server has a fault: {type(error).__name__}: {error}"}
+        with suppress(OSError):  # it has not waited
+            client.settimeout(_PATIENCE_SECONDS)
+            client.sendall(json.dumps(reply).encode() + b"\n")
+        self._drop(client)
+        if isinstance(failed, StorageError):
+            raise failed
+
+    def _drop(self, client: socket.socket) -> None:
+        del self._clients[client]
+        self._ready.unregister(client)
+        client.close()
+        self._listen()
+
+
+def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> Reply:
+    """Return the server's reply to a request.
+
+    Args:
+        directory: of the run.
+        request: as the classes of this module, with `do`.
+        seconds: to wait.
+
+    Raises:
+        NoServer: there is none, or it does not answer.
+    """
+    received = bytearray()
+    try:
+        with _short(directory) as short, socket.socket(socket.AF_UNIX) as client:
+            client.settimeout(seconds)
+            client.connect(short)
+            client.sendall(json.dumps(request).encode() + b"\n")
+            while b"\n" not in received and len(received) <= _MOST_BYTES_OF_REPLY:
+                data = client.recv(2**16)
+                if not data:
+                    raise ConnectionError("it has closed the connection")
+                received += data
+    except OSError as error:
+        raise NoServer(f"no server answers in {directory}: {error.strerror or error}") from None
+    reply: Reply = json.loads(received)
+    return reply
+
+
+@contextmanager
+def _short(directory: Path) -> Iterator[str]:
+    """Yield a path of the socket that is short, however long that of the directory is."""
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        yield f"/proc/self/fd/{descriptor}/{CONTROL}"
+    finally:
+        os.close(descriptor)

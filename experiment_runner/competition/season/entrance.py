@@ -1,0 +1,315 @@
+"""What entrants' programs ask a season for, over HTTP: routes of the page's server, below `/season/api/`.
+
+    POST join       name, key, code, team: enrol; answers with hub_key, token and alias
+    POST attempt    attempt: how it goes, or a new one
+    POST withdraw   attempt
+    PUT  image      a tar of docker save
+    GET  tasks      what is played, for trying it at home
+
+Every request but the last is signed (see `glue.keys.requests`) and is passed on to the season's server, which
+decides. Here is what protects it: signatures, sizes, and the rate of requests from one address and of one
+entrant. A refusal is JSON, `{"error": TEXT}`, with 429 or 503 and Retry-After if it helps to wait.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import ipaddress
+import json
+import math
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, BinaryIO, Final, cast
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Route
+
+from experiment_runner.competition.course import course_of
+from experiment_runner.competition.season.control import NoServer, ask
+from experiment_runner.competition.season.images import MODULE
+from experiment_runner.competition.season.trying import tasks_of
+from experiment_runner.competition.starters import name_of_run
+from glue.client.season import PREFIX
+from glue.console import one_line
+from glue.errors import GlueError
+from glue.keys.certificates import decode
+from glue.keys.requests import DIGEST, ENTRANT, Once, Unsigned, check
+
+_MOST_JSON: Final = 2**14
+_MOST_UPLOADS: Final = 4
+"""Images that are received at once."""
+
+_UPLOAD_SECONDS: Final = 900.0
+_UPLOADS: Final = "uploads"
+"""Folder in the directory of a season for images on their way to the engine."""
+
+_ROOM: Final = 3
+"""Times its size that an image may take for a while: as it came, checked, and in the engine."""
+
+_RESTART_SECONDS: Final = 10
+_MOST_LETTERS: Final = 64
+_MOST_LIMITED: Final = 10_000
+
+_Answer = Mapping[str, Any]
+_Endpoint = Callable[[Request], Awaitable[_Answer]]
+
+
+class Denied(GlueError):
+    """A request is not carried out.
+
+    Args:
+        message: why.
+        status: of HTTP.
+        seconds: after which to ask again; 0 if that does not help.
+    """
+
+    def __init__(self, message: str, status: int = 400, seconds: float = 0.0) -> None:
+        super().__init__(message)
+        self.status = status
+        self.seconds = seconds
+
+
+class Rate:
+    """Limits how often each of many may do something: `burst` times at once, then `per_second`.
+
+    Args:
+        per_second: in the long run.
+        burst: after a rest.
+        clock: returns seconds.
+    """
+
+    def __init__(self, per_second: float, burst: int, clock: Callable[[], float]) -> None:
+        self._interval = 1 / per_second
+        self._ahead = burst * self._interval
+        self._clock = clock
+        self._used_until: dict[str, float] = {}
+
+    def take(self, who: str) -> None:
+        """Let `who` do it.
+
+        Raises:
+            Denied: it has done so too often.
+        """
+        now = self._clock()
+        until = max(self._used_until.get(who, now), now) + self._interval
+        if until > now + self._ahead:
+            raise Denied("too many requests: ask less often", 429, until - now - self._ahead)
+        if len(self._used_until) >= _MOST_LIMITED:
+            self._used_until = {one: used for one, used in self._used_until.items() if used > now}
+        self._used_until[who] = until
+
+
+def routes(directory: Path, now: Callable[[], float] = time.time) -> list[BaseRoute]:
+    """Return the routes.
+
+    Args:
+        directory: of the season.
+        now: returns seconds since 1970.
+    """
+    entrance = _Entrance(directory, now)
+    return [
+        Route(f"{PREFIX}join", _answering(entrance.join), methods=["POST"]),
+        Route(f"{PREFIX}attempt", _answering(entrance.passing("attempt")), methods=["POST"]),
+        Route(f"{PREFIX}withdraw", _answering(entrance.passing("withdraw")), methods=["POST"]),
+        Route(f"{PREFIX}image", _answering(entrance.image), methods=["PUT"]),
+        Route(f"{PREFIX}tasks", _answering(entrance.tasks), methods=["GET"]),
+    ]
+
+
+def _answering(endpoint: _Endpoint) -> Callable[[Request], Awaitable[Response]]:
+    async def answer(request: Request) -> Response:
+        headers = {"Connection": "close"}
+        try:
+            return JSONResponse(await endpoint(request), headers=headers)
+        except Denied as error:
+            if error.seconds:
+                headers["Retry-After"] = str(math.ceil(error.seconds))
+            return JSONResponse({"error": str(error)}, error.status, headers)
+        except ClientDisconnect:
+            return Response(status_code=400)  # nobody reads it
+        except GlueError as error:
+            return JSONResponse({"error": str(error)}, 422, headers)
+
+    return answer
+
+
+class _Entrance:
+    def __init__(self, directory: Path, now: Callable[[], float]) -> None:
+        self._directory = directory
+        self._now = now
+        self._once = Once()
+        self._of_address = Rate(50, 500, now)
+        self._joins = Rate(0.2, 60, now)
+        self._of_entrant = Rate(2, 30, now)
+        self._images = Rate(1 / 600, 5, now)
+        self._uploading: set[str] = set()
+        shutil.rmtree(directory / _UPLOADS, ignore_errors=True)  # of a server that was killed
+
+    async def join(self, request: Request) -> _Answer:
+        self._joins.take(_address(request))
+        body = await self._json(request)
+        try:
+            key = decode(str(body.get("key")))
+            check(key, request.method, request.url.path, request.headers, self._now())
+        except ValueError:
+            raise Denied("key is not a public key as glue-keys writes it") from None
+        except Unsigned as error:
+            raise Denied(f"the request {error}", 403) from None
+        return await self._ask({**body, "do": "enrol"})
+
+    def passing(self, do: str) -> _Endpoint:
+        """Return what passes a signed request on, as that of its entrant."""
+
+        async def pass_on(request: Request) -> _Answer:
+            entrant = await self._sender(request)
+            return await self._ask({**await self._json(request), "do": do, "entrant": entrant})
+
+        return pass_on
+
+    async def tasks(self, request: Request) -> _Answer:
+        self._of_address.take(_address(request))
+        return tasks_of((await run_in_threadpool(course_of, self._directory)).competition)
+
+    async def image(self, request: Request) -> _Answer:
+        entrant = await self._sender(request)
+        season = (await run_in_threadpool(course_of, self._directory)).competition.season
+        if season is None or not season.images:
+            raise Denied("this season takes no images: play with glue-agent and season.toml", 403)
+        size = request.headers.get("content-length", "")
+        if not (size.isascii() and size.isdigit() and len(size) < _MOST_LETTERS):
+            raise Denied("the request says no Content-Length", 411)
+        if int(size) > season.most_bytes:
+            most = f"{season.most_bytes / 2**20:g} MiB"
+            raise Denied(f"the image has {int(size) / 2**20:.1f} MiB, and {most} are allowed", 413)
+        self._images.take(entrant)
+        with self._upload(entrant, int(size)) as file:
+            await _received(request, file, int(size))
+            found = await _loaded(file.name, season.most_bytes, f"glue-season/{name_of_run(self._directory)}")
+        return await self._ask({"do": "submit", "entrant": entrant, "image": found, "name": found})
+
+    @contextmanager
+    def _upload(self, entrant: str, size: int) -> Iterator[BinaryIO]:
+        """Yield a file for an image, which is gone afterwards."""
+        if entrant in self._uploading:
+            raise Denied("another image of this entrant is being received", 429, _RESTART_SECONDS)
+        if len(self._uploading) >= _MOST_UPLOADS:
+            raise Denied(f"{_MOST_UPLOADS} images are being received: try again", 503, _RESTART_SECONDS)
+        folder = self._directory / _UPLOADS
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if shutil.disk_usage(folder).free < _ROOM * size:
+            raise Denied("the season's machine has no room for the image now: tell its organiser", 503, 600)
+        self._uploading.add(entrant)
+        try:
+            with tempfile.NamedTemporaryFile(dir=folder, suffix=".tar") as file:
+                yield cast("BinaryIO", file)
+        finally:
+            self._uploading.discard(entrant)
+
+    async def _sender(self, request: Request) -> str:
+        """Return the entrant that has signed a request.
+
+        Raises:
+            Denied: nobody has, or it asks too often.
+        """
+        self._of_address.take(_address(request))
+        entrant = request.headers.get(ENTRANT, "")
+        if not entrant or len(entrant) > _MOST_LETTERS or not entrant.isascii():
+            raise Denied(f"the request needs the header {ENTRANT}: the name of the entrant", 403)
+        key = (await self._ask({"do": "key", "entrant": entrant})).get("key")
+        if not isinstance(key, str):
+            raise Denied(f"there is no entrant {one_line(entrant)} in this season: glue-compete join", 403)
+        now = self._now()
+        try:
+            check(decode(key), request.method, request.url.path, request.headers, now)
+            self._of_entrant.take(entrant)
+            self._once.remember(request.headers, now)
+        except Unsigned as error:
+            raise Denied(f"the request {error}", 403) from None
+        return str(entrant)
+
+    async def _json(self, request: Request) -> Mapping[str, Any]:
+        """Return the body of a request, if it is what was signed."""
+        content = bytearray()
+        async for piece in request.stream():
+            content += piece
+            if len(content) > _MOST_JSON:
+                raise Denied(f"the body has more than {_MOST_JSON:,} bytes", 413)
+        _check_digest(request, hashlib.sha256(content).hexdigest())
+        with suppress(ValueError, RecursionError):
+            body = json.loads(content)
+            if isinstance(body, dict):
+                return body
+        raise Denied("the body is not a JSON object")
+
+    async def _ask(self, question: Mapping[str, Any]) -> _Answer:
+        """Return the answer of the season's server."""
+        try:
+            reply = await run_in_threadpool(ask, self._directory, question)
+        except NoServer:
+            message = "the season's server is not running: try again later, or tell its organiser"
+            raise Denied(message, 503, _RESTART_SECONDS) from None
+        if reply.pop("ok"):
+            return dict(reply)
+        seconds = float(reply.get("retry_after") or 0)
+        raise Denied(str(reply["error"]), 429 if seconds else 403, seconds)
+
+
+async def _received(request: Request, file: BinaryIO, size: int) -> None:
+    """Write the body of a request to a file."""
+    digest, count = hashlib.sha256(), 0
+    try:
+        async with asyncio.timeout(_UPLOAD_SECONDS):
+            async for piece in request.stream():
+                count += len(piece)
+                if count > size:
+                    raise Denied("the body is longer than its Content-Length", 413)
+                digest.update(piece)
+                await run_in_threadpool(file.write, piece)
+        await run_in_threadpool(file.flush)
+    except TimeoutError:
+        raise Denied(f"the image has not come within {_UPLOAD_SECONDS / 60:g} minutes", 408) from None
+    except OSError as error:
+        reason = error.strerror or "an error of its disk"
+        raise Denied(f"the season's machine cannot keep the image: {reason}", 503, 600) from None
+    _check_digest(request, digest.hexdigest())
+
+
+async def _loaded(path: str, most: int, repository: str) -> str:
+    """Load an image into the engine, in a process of its own; return its id."""
+    command = (sys.executable, "-P", "-m", MODULE, path, str(most), repository)
+    process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
+    try:
+        printed, _ = await process.communicate()
+    except asyncio.CancelledError:
+        process.kill()
+        raise
+    try:
+        found = json.loads(printed)
+    except ValueError:
+        raise Denied("the image cannot be loaded: tell the season's organiser", 503, 600) from None
+    if "error" in found:
+        raise Denied(found["error"], 422)
+    return str(found["id"])
+
+
+def _check_digest(request: Request, digest: str) -> None:
+    if request.headers.get(DIGEST) != digest:
+        raise Denied("the body is not the one that was signed: send it again")
+
+
+def _address(request: Request) -> str:
+    """Return the address that limits count by; one network of IPv6 is one."""
+    host = request.client.host if request.client else ""
+    with suppress(ValueError):
+        address = ipaddress.ip_address(host)
+        if address.version == 6:
+            return str(ipaddress.ip_network((address, 64), strict=False))
+    return host

@@ -1,0 +1,234 @@
+"""The image that an entrant has uploaded: check it, and load it into the engine without its names.
+
+    python -P -m experiment_runner.competition.season.images FILE BYTES REPOSITORY
+
+FILE is a tar of `docker save`, and BYTES the size that its image may have. The result is a line of JSON: `id`
+of the image, or `error`. It is a process of its own, with little memory: a stranger wrote the file.
+
+The engine would load whatever is in such a file: several images, under any name, so that one of this machine
+would mean another image afterwards; a layer that is small and unpacks to terabytes; a sparse file. So it gets
+a new tar, with one image that has no name, of which every byte and file has been counted.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import platform
+import posixpath
+import resource
+import sys
+import tarfile
+import tempfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, BinaryIO, Final, cast
+
+from experiment_runner.competition.jail import check_image
+from glue.console import one_line
+from glue.errors import ConfigError, GlueError
+from glue.files import open_regular
+
+MODULE: Final = "experiment_runner.competition.season.images"
+
+_MEMORY: Final = 2**31
+"""Bytes of address space of the process."""
+
+_MANIFEST: Final = "manifest.json"
+_MOST_MEMBERS: Final = 1_000
+_MOST_LAYERS: Final = 127  # of Docker's engine
+_MOST_JSON: Final = 2**22
+_MOST_SHOWN: Final = 300
+
+_BLOCK: Final = 4096
+"""Bytes that a file or folder takes at least."""
+
+_PIECE: Final = 2**16
+_HEAD: Final = 8
+_GZIP: Final = b"\x1f\x8b"
+_OTHERS: Final = (b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")
+"""First bytes of the other compressions that an engine knows, which are not counted here."""
+
+_ARCHITECTURES: Final = {"x86_64": "amd64", "aarch64": "arm64"}
+"""Docker's names of the processors that Python names otherwise."""
+
+
+class UnfitImage(ConfigError):
+    """A file holds no image that can be loaded; the message says why."""
+
+
+def copy_image(source: BinaryIO, target: BinaryIO, most: int) -> None:
+    """Copy the image in a tar of `docker save` to another tar, without its names.
+
+    Args:
+        source: the tar, from an untrusted source; it can seek.
+        target: receives the copy.
+        most: maximum size of the image in bytes, unpacked.
+
+    Raises:
+        UnfitImage: it holds no image, or one that is too large or cannot be jailed.
+    """
+    with _named("the file"), tarfile.open(fileobj=source, mode="r:") as archive:
+        members = _members(archive)
+        found = _json(archive, members, _MANIFEST)
+        if not isinstance(found, list) or len(found) != 1 or not isinstance(found[0], dict):
+            raise UnfitImage("the file has not one image: docker save with the name of one image and one tag")
+        name, layers = found[0].get("Config"), found[0].get("Layers")
+        if not isinstance(name, str) or not isinstance(layers, list) or len(layers) > _MOST_LAYERS:
+            raise UnfitImage(f"its {_MANIFEST} is not that of an image with up to {_MOST_LAYERS} layers")
+        config = _json(archive, members, name)
+        if not isinstance(config, dict) or not isinstance(config.get("config"), dict):
+            raise UnfitImage("its configuration is not that of an image")
+        _check_config(config)
+        left = most
+        with tarfile.open(fileobj=target, mode="w") as copy:
+            names = [f"{number}.tar" for number in range(len(layers))]
+            for layer, file in zip(layers, names, strict=True):
+                member = _member(members, layer)
+                left -= _unpacked(_file(archive, member), left, most)
+                _add(copy, file, member.size, _file(archive, member))
+            # The bytes of the configuration are the image's id.
+            own = json.dumps([{"Config": "config.json", "RepoTags": None, "Layers": names}]).encode()
+            for file, data in (("config.json", _content(archive, members, name)), (_MANIFEST, own)):
+                _add(copy, file, len(data), io.BytesIO(data))
+
+
+def _check_config(config: Mapping[str, Any]) -> None:
+    wanted = _ARCHITECTURES.get(platform.machine(), platform.machine())
+    system, processor = config.get("os"), config.get("architecture")
+    if (system, processor) != ("linux", wanted):
+        raise UnfitImage(
+            f"the image is for {one_line(f'{system}/{processor}', 40)}, and this machine is linux/{wanted}: "
+            f"build it for the platform linux/{wanted}"
+        )
+    check_image("uploaded", config["config"], 0)
+
+
+def _members(archive: tarfile.TarFile) -> dict[str, tarfile.TarInfo]:
+    """Return the members of a tar by their names."""
+    members: dict[str, tarfile.TarInfo] = {}
+    while (member := archive.next()) is not None:
+        members[posixpath.normpath(member.name)] = member
+        if len(members) > _MOST_MEMBERS:
+            raise UnfitImage(f"the file has more than {_MOST_MEMBERS:,} parts")
+    return members
+
+
+def _member(members: Mapping[str, tarfile.TarInfo], name: object) -> tarfile.TarInfo:
+    """Return a file of a tar; Docker writes a link in place of a layer that is there already."""
+    path = posixpath.normpath(str(name))
+    found = members.get(path)
+    if found is not None and (found.issym() or found.islnk()):
+        folder = posixpath.dirname(path) if found.issym() else ""
+        found = members.get(posixpath.normpath(posixpath.join(folder, found.linkname)))
+    if found is None or not found.isreg() or found.issparse():
+        hint = "; it should be a tar of docker save" if name == _MANIFEST else ""
+        raise UnfitImage(f"the file has no {one_line(str(name), 80)}{hint}")
+    return found
+
+
+def _file(archive: tarfile.TarFile, member: tarfile.TarInfo) -> IO[bytes]:
+    file = archive.extractfile(member)
+    assert file is not None
+    return file
+
+
+def _content(archive: tarfile.TarFile, members: Mapping[str, tarfile.TarInfo], name: str) -> bytes:
+    member = _member(members, name)
+    if member.size > _MOST_JSON:
+        raise UnfitImage(f"its {one_line(name, 80)} has more than {_MOST_JSON:,} bytes")
+    return _file(archive, member).read()
+
+
+def _json(archive: tarfile.TarFile, members: Mapping[str, tarfile.TarInfo], name: str) -> Any:
+    try:
+        return json.loads(_content(archive, members, name))
+    except (ValueError, RecursionError):
+        raise UnfitImage(f"its {one_line(name, 80)} is not JSON") from None
+
+
+def _unpacked(layer: IO[bytes], left: int, most: int) -> int:
+    """Return the bytes that a layer takes when it is unpacked.
+
+    Raises:
+        UnfitImage: they are more than `left`.
+    """
+    with _named("a layer"):
+        head = layer.read(_HEAD)
+        layer.seek(0)
+        if head.startswith(_OTHERS):
+            raise UnfitImage("a layer is compressed, and not by gzip: docker save writes no such layers")
+        plain = cast("IO[bytes]", gzip.GzipFile(fileobj=layer)) if head.startswith(_GZIP) else layer
+        content = _Bounded(plain, left, most)
+        total = 0
+        with tarfile.open(fileobj=content, mode="r|") as files:
+            while (file := files.next()) is not None:
+                total += _BLOCK + file.size  # of a sparse file, what it takes when it is unpacked
+                content.check(total)
+                files.members = []  # type: ignore[attr-defined]  # it would keep them all
+        while content.read(_PIECE):
+            pass  # the engine unpacks and keeps what follows the tar, too
+        return total
+
+
+class _Bounded(io.RawIOBase):
+    """The first `left` bytes of a file; reading on raises `UnfitImage`, which names `most`."""
+
+    def __init__(self, file: IO[bytes], left: int, most: int) -> None:
+        self._file = file
+        self._left = left
+        self._most = most
+        self._count = 0
+
+    def read(self, size: int = -1) -> bytes:
+        """Return at most `size` bytes, and no more than a piece."""
+        data = self._file.read(min(size, _PIECE) if size >= 0 else _PIECE)
+        self._count += len(data)
+        self.check(self._count)
+        return data
+
+    def check(self, count: int) -> None:
+        """Check a number of bytes."""
+        if count > self._left:
+            raise UnfitImage(
+                f"the image is too large: unpacked it takes more than {self._most / 2**20:g} MiB"
+            )
+
+
+def _add(copy: tarfile.TarFile, name: str, size: int, content: IO[bytes]) -> None:
+    member = tarfile.TarInfo(name)
+    member.size = size
+    copy.addfile(member, content)
+
+
+@contextmanager
+def _named(what: str) -> Iterator[None]:
+    """Turn the errors of a file that is not what it should be into `UnfitImage`."""
+    try:
+        yield
+    except (tarfile.TarError, zlib.error, EOFError, OSError, ValueError, OverflowError, MemoryError) as error:
+        why = one_line(str(error), _MOST_SHOWN) or type(error).__name__
+        raise UnfitImage(f"{what} is not as docker save writes it: {why}") from None
+
+
+def main() -> None:
+    """Check and load the file that the arguments name."""
+    path, most, repository = sys.argv[1:]
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    try:
+        with open_regular(Path(path)) as source, tempfile.TemporaryFile(dir=Path(path).parent) as copy:
+            copy_image(source, copy, int(most))
+            from experiment_runner.competition.containers import Containers  # needs an extra
+
+            copy.seek(0)
+            found = {"id": Containers().load(copy, repository)}
+    except GlueError as error:
+        found = {"error": str(error)}
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""Which attempts play next, who may ask for one, and when: pure functions of a season's state and the time.
+
+Entrants take turns: who was let play longest ago is next, with its oldest attempt that waits. Each plays one
+attempt at a time. So a thousand attempts of one entrant delay those of another by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime, time, timedelta
+
+from experiment_runner.competition.records.journal import REQUEST, Act, act
+from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
+from glue.errors import ExperimentError
+
+
+def queue(state: SeasonState) -> list[Attempt]:
+    """Return the attempts that wait and may be let play, in the order in which they will be if none is added.
+
+    An attempt's place in the queue is its place in this list.
+    """
+    turns = [
+        ((turn, entrant.served, one.order), one)
+        for entrant in state.entrants.values()
+        if not (entrant.excluded or entrant.paused)
+        for turn, one in enumerate(entrant.waiting)
+    ]
+    return [one for _, one in sorted(turns, key=lambda turn: turn[0])]
+
+
+def next_attempts(
+    state: SeasonState, now: datetime, ready: Callable[[Attempt], bool] = lambda one: True
+) -> list[Attempt]:
+    """Return the attempts that are to be let play now, in this order; none while the season is paused.
+
+    Args:
+        state: the season.
+        now: the time.
+        ready: whether an attempt can play; others are passed over.
+    """
+    if state.paused or state.closed is not None or now < state.season.opens:
+        return []
+    playing = {one.entrant for one in state.attempts("playing")}
+    chosen: dict[str, Attempt] = {}
+    for one in queue(state):
+        if one.entrant not in playing and ready(one):
+            chosen.setdefault(one.entrant, one)
+    return list(chosen.values())[: max(0, state.season.parallel - len(playing))]
+
+
+def left(state: SeasonState, entrant: Enrolled, now: datetime) -> int:
+    """Return the number of attempts that an entrant can still ask for today."""
+    today = now.astimezone(state.season.days).date()
+    return max(0, state.season.attempts_per_day - entrant.used[today]) + entrant.granted
+
+
+def returns_at(state: SeasonState, now: datetime) -> datetime | None:
+    """Return when attempts are charged to the next day; None if the season closes before."""
+    today = now.astimezone(state.season.days).date()
+    midnight = datetime.combine(today + timedelta(days=1), time(), state.season.days)
+    return midnight if midnight < state.season.closes else None
+
+
+def request(state: SeasonState, name: str, now: datetime) -> Act:
+    """Return the act of queueing an entrant's next attempt.
+
+    Raises:
+        ExperimentError: there is no such entrant, or it cannot ask for one now; the message says why.
+    """
+    entrant, season = state.entrant(name), state.season
+    if state.closed is not None or now >= season.closes:
+        raise ExperimentError(f"the season closed at {state.closed or season.closes}")
+    if now < season.opens:
+        raise ExperimentError(f"the season opens at {season.opens}")
+    if entrant.excluded:
+        raise ExperimentError(f"{name} is excluded: {entrant.excluded}")
+    if entrant.paused:
+        raise ExperimentError(f"{name} is paused: {entrant.paused}")
+    if len(entrant.waiting) >= season.most_waiting:
+        raise ExperimentError(f"{season.most_waiting} attempts of {name} wait already")
+    if left(state, entrant, now) < 1:
+        again = returns_at(state, now)
+        raise ExperimentError(
+            f"{name} has used its {season.attempts_per_day} attempts of today"
+            + ("" if again is None else f"; the next day begins at {again}")
+        )
+    return act(REQUEST, name, "", now=now, number=len(entrant.attempts) + 1)

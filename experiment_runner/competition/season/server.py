@@ -1,0 +1,710 @@
+"""The server of a season: it answers requests, plays attempts, and verifies each at its end.
+
+Only this process writes to the run directory, as in a competition held at once, see
+`experiment_runner.competition.organiser`. All that it knows is in the journal and in the results, so it may
+be killed at any time: a trial that was not over starts over, and everything else goes on where it was.
+
+An attempt plays its trials one after the other, in one of `Season.parallel` slots. Entrants who connect from
+elsewhere do so at the port of their slot. An attempt waits for its entrant's program, which has to ask for it
+again and again; it is cancelled when the program stops asking.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import itertools
+import math
+import re
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+from experiment_runner.competition.board.forms import line_of
+from experiment_runner.competition.course import IMAGE_ID, Course, course_of, entrant_of
+from experiment_runner.competition.match import NOT_CONNECTED, Match
+from experiment_runner.competition.organiser import Matches, Say, log_path
+from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.journal import Act, act
+from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
+from experiment_runner.competition.season import control, schedule
+from experiment_runner.competition.season.acts import acts_for
+from experiment_runner.competition.season.board import PUBLIC as ANYBODY
+from experiment_runner.competition.season.board import Boards
+from experiment_runner.competition.season.control import Door, Reply, Request, TryLater
+from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
+from experiment_runner.competition.season.worker import Replay, Verified
+from experiment_runner.competition.settings import (
+    NAMES,
+    Competition,
+    Entrant,
+    Gate,
+    is_name,
+    load_competition,
+)
+from experiment_runner.competition.starters import name_of_run, starter_for
+from experiment_runner.competition.trials import attempt_trials, levels
+from experiment_runner.executors.dispatcher import Dispatcher, Executor
+from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.store.records import ReplayVerdict, TrialEnd
+from experiment_runner.store.store import Store
+from glue.console import one_line
+from glue.errors import ConfigError, ExperimentError
+from glue.keys.allowed import HUB
+from glue.keys.certificates import PUBLIC, encode, read_public
+from glue.keys.certificates import decode as decode_key
+
+_TURN_SECONDS: Final = 0.05
+"""Maximum delay of an answer while attempts are played."""
+
+_IDLE_SECONDS: Final = 0.5
+
+_LOOK_SECONDS: Final = 1.0
+
+_ABSENT_SECONDS: Final = 60.0
+"""Time after which the waiting attempt of a program that no longer asks for it is cancelled."""
+
+_PRESENT_SECONDS: Final = 15.0
+"""Time for which a program that has asked counts as present, so that its attempt may be let play."""
+
+_SLACK_SECONDS: Final = 3600.0
+"""Time that a trial may take beyond what its entrant's limits allow, as its environment takes time, too."""
+
+_REST_SECONDS: Final = (5.0, 600.0)
+"""Time before an entrant plays again after an attempt that failed here: at first, and at most."""
+
+_PORT: Final = re.compile(r"(?P<host>tcp://.+):(?P<port>\d{1,5})")
+
+_MAX_NAME: Final = 200
+
+_MOST_SHOWN: Final = 200
+"""Maximum number of waiting attempts in a status."""
+
+_COLOURS: Final = ("amber", "azure", "coral", "crimson", "emerald", "golden", "indigo", "ivory", "jade")
+_ALIASES: Final = 1_000_000
+_ANIMALS: Final = ("badger", "crane", "falcon", "fox", "heron", "ibis", "lynx", "otter", "owl", "raven")
+
+
+@dataclass(slots=True)
+class _Slot:
+    """An attempt that is played.
+
+    Args:
+        attempt: the attempt.
+        entrant: who plays it.
+        number: of the slot, from 0.
+        specs: of its trials, by id, in their order.
+        left: ids of the trials that are not over, in their order.
+        unverified: ids of the trials that are over, and not verified yet.
+        resumed: whether its first trial is played again after a restart of this server, which its program may
+            not have survived.
+        forfeit: why it is forfeited; empty if it is not.
+        playing: whether the first of `left` is played.
+    """
+
+    attempt: Attempt
+    entrant: Entrant
+    number: int
+    specs: Mapping[str, TrialSpec]
+    left: deque[str]
+    unverified: set[str]
+    resumed: bool
+    forfeit: str = ""
+    playing: bool = False
+
+
+def gate_of(gate: Gate, slot: int) -> Gate:
+    """Return the gate of a slot: the address of the first, with the port that many further on.
+
+    Raises:
+        ConfigError: the address has no port to count from.
+    """
+    if gate.bind.startswith("ipc://"):
+        return replace(gate, bind=f"{gate.bind}-{slot}")
+    found = _PORT.fullmatch(gate.bind)
+    port = int(found["port"]) + slot if found else 0
+    if found is None or not 0 < port < 2**16:
+        raise ConfigError(
+            f"{gate.bind} is no address for {slot + 1} attempts at once, each with a port of its own: "
+            "write one such as tcp://0.0.0.0:4097",
+            settings=("bind",),
+        )
+    return replace(gate, bind=f"{found['host']}:{port}")
+
+
+class Server(Matches):
+    """The server of a season; see the top of this module.
+
+    Args:
+        store: of the run.
+        competition: as in the organiser's file, with the entrants that it names.
+        secret: the secret seed.
+        code: with which entrants enrol; None if there is none.
+        gate: where entrants with keys connect; None if there are none.
+        say: shows a line.
+        now: returns the time.
+        clock: returns seconds, for waiting.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        competition: Competition,
+        secret: bytes,
+        code: str | None,
+        gate: Gate | None,
+        say: Say,
+        now: Callable[[], datetime],
+        clock: Callable[[], float],
+    ) -> None:
+        super().__init__(store, say)
+        self._competition = competition
+        self._secret = secret
+        self._levels = levels(competition, secret)
+        self._code = code
+        self._gate = gate
+        self._now = now
+        self._clock = clock
+        course = course_of(store.directory)
+        self._acts = list(course.acts)
+        self._course = Course(course.competition, self._acts)
+        self._state = SeasonState.of(course)
+        self._named = {entrant.name: entrant for entrant in competition.entrants}
+        self._keys: dict[str, str] = {}
+        """The public key of each entrant that has one."""
+        self._taken: set[tuple[str, str]] = set()
+        """The names, in small letters, the keys and the pseudonyms that no other entrant can have."""
+        for one in course.acts:
+            if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
+                self._admit(one)
+        self._steps = {task.name: task.steps for task in competition.proving}
+        self._directory = store.directory.absolute()
+        self._run = name_of_run(self._directory)
+        self._dispatcher: Dispatcher | None = None
+        self._slots: dict[str, _Slot] = {}
+        self._until: dict[str, float] = {}
+        """When each trial that is played or replayed has to be over."""
+        self._replays: dict[str, Replay] = {}
+        self._verified: dict[str, ReplayVerdict] = {}
+        self._seen: dict[str, float] = {}
+        """When each entrant's program asked last."""
+        self._queued: dict[str, float] = {}
+        """When the last attempt of each entrant was queued by this server."""
+        self._rests: dict[str, tuple[float, float]] = {}
+        """When each entrant whose attempt failed here may play again, and how long it rests."""
+        self._slots_rest: dict[int, float] = {}
+        """When each slot in which an attempt failed may be used again: its port may be taken."""
+        self._began = clock()
+        self._looked = self._began - _LOOK_SECONDS
+        self._started = now()
+        self._boards: Boards | None = None
+        self._boards_of = 0  # the number of acts in it
+        self._boards_until = 0.0  # when they may be computed again
+
+    def serve(self, door: Door, executor: Executor, interrupts: Interrupts) -> None:
+        """Serve until the season is closed and what was played is over.
+
+        Raises:
+            StorageError: the run cannot be written to.
+            ExperimentError: the executor can run nothing.
+            KeyboardInterrupt: on Ctrl-C or SIGTERM.
+        """
+        dispatcher = Dispatcher(executor, self, interrupts)
+        with executor, interrupts.deferred():
+            self.begin(dispatcher)
+            while self.turn(_TURN_SECONDS) or not interrupts.requested:
+                if self.over:
+                    break
+                door.serve(self.answer, 0 if dispatcher.running else _IDLE_SECONDS)
+
+    @property
+    def over(self) -> bool:
+        """Whether the season is closed, and what was played is over."""
+        return self._state.closed is not None and not self._slots
+
+    def begin(self, dispatcher: Dispatcher) -> None:
+        """Go on with the attempts that were played when the server before this one ended."""
+        self._dispatcher = dispatcher
+        for name in self._named:
+            starter_for(self._player(self._state.entrants[name])).sweep(self._run)
+        playing = self._state.attempts("playing")
+        if playing:
+            outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
+            starts = {(one.subject, one.number): one for one in self._acts if one.act == journal.START}
+            for one in playing:
+                start = starts[one.entrant, one.number]
+                specs = attempt_trials(self._levels, self._competition.trials, start)
+                self._take_slot(one, int(start.value), specs, outcomes, verdicts, resumed=True)
+
+    def turn(self, seconds: float = 0.0) -> bool:
+        """Start what can start, and store what is reported within `seconds`; return whether anything runs."""
+        assert self._dispatcher is not None
+        self._look()
+        return self._dispatcher.turn(seconds)
+
+    # What others ask for
+
+    def answer(self, request: Request) -> Reply:
+        """Return the reply to a request at the door.
+
+        Raises:
+            ExperimentError: it is refused.
+        """
+        match request:
+            case control.Organise():
+                return self._organise(request)
+            case control.Enrol():
+                return self._enrol(request)
+            case control.Attempt(name, number):
+                return self._attempt(name, number)
+            case control.Key(name):
+                excluded = name in self._keys and self._state.entrants[name].excluded
+                return {"key": None if excluded else self._keys.get(name)}
+            case control.Withdraw(name, number):
+                return self._withdraw(name, number)
+            case control.Submit():
+                return self._submit(request)
+            case control.Status():
+                return self._status()
+
+    def _organise(self, wanted: control.Organise) -> Reply:
+        outcomes = self._store.outcomes() if "/" in wanted.subject else ()
+        acts = acts_for(wanted, self._course, self._state, outcomes, self._now())
+        for one in acts:
+            if one.act == journal.ADD:
+                found = load_competition(Path(wanted.file)).entrants
+                self._named |= {entrant.name: entrant for entrant in found if entrant.name == one.subject}
+        self._record(*acts)
+        return {"acts": [line_of(one) for one in acts]}
+
+    def _enrol(self, wanted: control.Enrol) -> Reply:
+        season, name = self._state.season, wanted.name
+        if season.enrol == "closed" or self._gate is None:
+            raise ExperimentError("nobody can enrol: ask the organiser")
+        if self._state.closed is not None or self._now() >= season.closes:
+            raise ExperimentError("the season is over")
+        if season.enrol == "code" and not (
+            self._code and hmac.compare_digest(self._code.encode(), wanted.code.encode())
+        ):
+            raise ExperimentError("that is not the code with which one enrols: ask the organiser for it")
+        if not is_name(name):
+            raise ExperimentError(f"{name!r:.80} cannot be a name: {NAMES}")
+        if wanted.team and not (season.teams and is_name(wanted.team)):
+            raise ExperimentError(f"there are no teams, or {wanted.team!r:.80} cannot be the name of one")
+        try:
+            key = encode(decode_key(wanted.key))
+        except ValueError:
+            raise ExperimentError("the key is not a public key, as glue-keys makes it") from None
+        token = base64.urlsafe_b64encode(self._draw("token", name)[:18]).decode()
+        if self._keys.get(name) != key:
+            self._check_new(name, key)
+            digest = hashlib.sha256(token.encode()).hexdigest()
+            more = {"alias": self._alias(name), "team": wanted.team, "token": digest}
+            self._record(act(journal.ENROL, name, "", now=self._now(), player=f"{name}.key", id=key, **more))
+        hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
+        return {"hub_key": hub_key, "token": token, "alias": self._state.entrants[name].act.alias}
+
+    def _check_new(self, name: str, key: str) -> None:
+        if ("name", name.casefold()) in self._taken:
+            raise ExperimentError(f"the name {name} is taken: choose another")
+        if ("key", key) in self._taken:
+            raise ExperimentError("the owner of this key takes part already, under another name")
+        if len(self._state.entrants) >= self._state.season.most_entrants:
+            raise ExperimentError(
+                f"{len(self._state.entrants)} take part, and there is no room for more: ask the organiser"
+            )
+
+    def _alias(self, name: str) -> str:
+        """Return a pseudonym that says nothing of the name, and that nobody has."""
+        drawn = int.from_bytes(self._draw("alias", name))
+        alias = f"{_COLOURS[drawn % len(_COLOURS)]} {_ANIMALS[drawn // len(_COLOURS) % len(_ANIMALS)]}"
+        rest = drawn // (len(_COLOURS) * len(_ANIMALS))
+        numbered = (f"{alias} {(rest + number) % _ALIASES}" for number in itertools.count())
+        return next(one for one in itertools.chain([alias], numbered) if ("alias", one) not in self._taken)
+
+    def _draw(self, *names: str) -> bytes:
+        return hmac.digest(self._secret, "\0".join(names).encode(), hashlib.sha256)
+
+    def _attempt(self, name: str, number: int) -> Reply:
+        entrant = self._state.entrant(name)
+        if not self._present(name):
+            self._looked -= _LOOK_SECONDS
+        self._seen[name] = self._clock()
+        if number:
+            one = self._state.attempt(name, number)
+            while one.state == "ours" and one.number + 1 in entrant.attempts:
+                one = entrant.attempts[one.number + 1]  # which plays in its place
+            return self._shown(entrant, one)
+        under_way = entrant.playing or next(iter(entrant.waiting), None)
+        if under_way is None:
+            now = self._now()
+            try:
+                self._record(schedule.request(self._state, name, now))
+            except ExperimentError as error:
+                returns = schedule.returns_at(self._state, now)
+                if schedule.left(self._state, entrant, now) or returns is None:
+                    raise
+                raise TryLater(str(error), (returns - now).total_seconds()) from None
+            self._look(True)
+            under_way = entrant.playing or entrant.waiting[0]
+        return self._shown(entrant, under_way)
+
+    def _shown(self, entrant: Enrolled, one: Attempt) -> Reply:
+        """Return the reply about an attempt to its owner."""
+        name, reply = entrant.name, Reply(attempt=one.number)
+        slot = self._slots.get(name)
+        if one.state == "waiting":
+            queue = schedule.queue(self._state)
+            place = {"place": queue.index(one) + 1} if one in queue else {}
+            return {"state": "waiting", "why": self._state.paused or entrant.paused, **reply, **place}
+        if one.state == "playing":
+            if slot is None or not slot.left:
+                return {"state": "verifying", **reply}
+            done = len(slot.specs) - len(slot.left)
+            reply |= {"trial": done + 1, "trials": len(slot.specs), "session": name}
+            if slot.entrant.key is not None and self._gate is not None:
+                reply["hub"] = gate_of(self._gate, slot.number).bind
+            return {"state": "playing", **reply}
+        now, board = self._now(), self._newest_boards().seen_by(name)
+        row = next((row for row in board.entrants if row.mine), None)
+        attempts = () if row is None else row.attempts
+        played = next((other for other in attempts if other.number == one.number), None)
+        if row is None or played is None or played.state in ("waiting", "playing"):  # the boards are older
+            return {"state": "verifying", **reply}
+        returns = schedule.returns_at(self._state, now)
+        return {
+            "state": "over",
+            **reply,
+            "outcome": "withdrawn" if one.withdrawn else played.state,
+            **({} if math.isnan(played.score) else {"score": played.score}),
+            **({} if math.isnan(row.low) else {"low": row.low, "high": row.high}),
+            "place": row.place,
+            "of": sum(other.place is not None for other in board.entrants),
+            "left": schedule.left(self._state, entrant, now),
+            "returns": None if returns is None else returns.isoformat(),
+            "why": one.why,
+        }
+
+    def _newest_boards(self) -> Boards:
+        """Return the boards after the last act, or somewhat older ones: they may take a fifth of the time."""
+        clock = self._clock()
+        if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
+            self._boards_of = len(self._acts)
+            outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
+            self._boards = Boards(self._course, outcomes, verdicts, self._now())
+            self._boards.seen_by(ANYBODY)
+            self._boards_until = self._clock() + 4 * (self._clock() - clock)
+        return self._boards
+
+    def _withdraw(self, name: str, number: int) -> Reply:
+        one, now = self._state.attempt(name, number), self._now()
+        if one.state == "playing":
+            raise ExperimentError(f"attempt {number} is played: it can be withdrawn when it is over")
+        if one.withdrawn or one.state in ("ours", "cancelled"):
+            raise ExperimentError(f"attempt {number} does not count anyway")
+        kind = journal.CANCEL if one.state == "waiting" else journal.WITHDRAW
+        self._record(act(kind, name, "its owner has withdrawn it", now=now, number=number))
+        return {}
+
+    def _submit(self, wanted: control.Submit) -> Reply:
+        entrant = self._state.entrant(wanted.entrant)
+        if not self._state.season.images:
+            raise ExperimentError("no images are accepted in this season")
+        if entrant.excluded:
+            raise ExperimentError(f"{wanted.entrant} is excluded: {entrant.excluded}")
+        if not IMAGE_ID.fullmatch(wanted.image):
+            raise ExperimentError(f"{wanted.image!r:.80} is not the id of an image")
+        name = one_line(wanted.name, _MAX_NAME)
+        self._record(act(journal.IMAGE, wanted.entrant, "", now=self._now(), player=name, id=wanted.image))
+        return {}
+
+    def _status(self) -> Reply:
+        state, now = self._state, self._now()
+        playing = [
+            {
+                "entrant": name,
+                "attempt": slot.attempt.number,
+                "state": "playing" if slot.left else "verifying",
+                "trial": min(len(slot.specs) - len(slot.left) + 1, len(slot.specs)),
+                "trials": len(slot.specs),
+                "slot": slot.number,
+            }
+            for name, slot in self._slots.items()
+        ]
+        waiting = [
+            {"entrant": one.entrant, "attempt": one.number, "state": "waiting", "place": place}
+            for place, one in enumerate(schedule.queue(state), 1)
+        ]
+        accepting = state.closed is None and state.season.opens <= now < state.season.closes
+        return {
+            "attempts": playing + waiting[:_MOST_SHOWN],
+            "waiting": len(waiting),
+            "slots": state.season.parallel,
+            "busy": len(playing),
+            "entrants": len(state.entrants),
+            "connected": sum(self._present(name) for name in state.entrants),
+            "accepting": accepting and not state.paused,
+            "why": state.paused,
+            "started": self._started.isoformat(),
+        }
+
+    # What is played
+
+    def _admit(self, one: Act) -> None:
+        """Note who takes part."""
+        named = self._named.get(one.subject)
+        if named is None or named.key is not None:
+            self._keys[one.subject] = one.id
+        self._taken |= {("name", one.subject.casefold()), ("key", one.id), ("alias", one.alias)}
+
+    def _record(self, *acts: Act) -> None:
+        """Write acts to the journal, and carry them out."""
+        record_acts(self._store, acts)
+        for one in acts:
+            self._acts.append(one)
+            self._state.apply(one)
+            if one.act in (journal.ADD, journal.ENROL):
+                self._admit(one)
+            elif one.act == journal.REQUEST:
+                self._queued[one.subject] = self._clock()
+            self._say(_line(one))
+        for slot in list(self._slots.values()):
+            if self._state.attempt(slot.entrant.name, slot.attempt.number).state != "playing":
+                self._leave(slot)
+        self._looked = self._clock() - _LOOK_SECONDS
+
+    def _look(self, now: bool = False) -> None:
+        """See, once a second and after each act, what can start, and what has taken too long."""
+        clock = self._clock()
+        if not now and clock - self._looked < _LOOK_SECONDS:
+            return
+        self._looked = clock
+        state, time = self._state, self._now()
+        for trial_id in [trial_id for trial_id, until in self._until.items() if clock > until]:
+            if (slot := self._slots.get(TrialId(trial_id).parts[0])) is not None:
+                self._fail(slot, f"{trial_id} has taken far too long")
+        for one in state.attempts("waiting"):
+            name = one.entrant
+            asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
+            if self._must_ask(one) and clock - asked > _ABSENT_SECONDS:
+                why = "its program has stopped asking for it"
+                self._record(act(journal.CANCEL, name, why, now=time, number=one.number))
+        if state.closed is None and state.season.opens <= time < state.season.closes:
+            for name in self._named.keys() & state.entrants.keys():
+                entrant = state.entrants[name]
+                if not entrant.attempts and self._player(entrant).key is None and not entrant.excluded:
+                    self._record(act(journal.REQUEST, name, "its first", now=time, number=1))
+        for one in schedule.next_attempts(state, time, self._is_ready):
+            self._begin(one)
+        for slot in list(self._slots.values()):
+            self._go_on(slot)
+
+    def _must_ask(self, one: Attempt) -> bool:
+        """Return whether an attempt waits only as long as its entrant's program asks for it."""
+        return not one.instead and self._player(self._state.entrants[one.entrant]).key is not None
+
+    def _present(self, name: str) -> bool:
+        return name in self._seen and self._clock() - self._seen[name] < _PRESENT_SECONDS
+
+    def _is_ready(self, one: Attempt) -> bool:
+        """Return whether an attempt that waits can be let play."""
+        rests_until, _ = self._rests.get(one.entrant, (0.0, 0.0))
+        needs_program = self._player(self._state.entrants[one.entrant]).key is not None
+        return self._clock() >= rests_until and (not needs_program or self._present(one.entrant))
+
+    def _player(self, entrant: Enrolled) -> Entrant:
+        """Return an entrant as it plays now."""
+        found = entrant.act
+        named = self._named.get(entrant.name)
+        if named is None or (IMAGE_ID.fullmatch(found.id) and named.player != found.player):
+            return entrant_of(found)
+        return replace(named, id=found.id)
+
+    def _begin(self, one: Attempt) -> None:
+        """Let an attempt play, if there is a slot for it."""
+        slot = self._free_slot()
+        if slot is None:
+            return
+        plays = self._state.entrants[one.entrant].act
+        start = act(
+            journal.START,
+            one.entrant,
+            "",
+            now=self._now(),
+            number=one.number,
+            player=plays.player,
+            id=plays.id,
+            value=str(slot),
+        )
+        self._record(start)
+        specs = attempt_trials(self._levels, self._competition.trials, start)
+        add_trials(self._store, specs)
+        self._take_slot(one, slot, specs, {}, {}, resumed=False)
+
+    def _free_slot(self) -> int | None:
+        """Return a slot that is free, and does not rest since an attempt failed there; None without one."""
+        taken = {slot.number for slot in self._slots.values()}
+        slots, now = range(self._state.season.parallel), self._clock()
+        rested = (slot for slot in slots if now >= self._slots_rest.get(slot, now))
+        return next((slot for slot in rested if slot not in taken), None)
+
+    def _take_slot(
+        self,
+        one: Attempt,
+        number: int,
+        specs: Sequence[TrialSpec],
+        outcomes: Mapping[str, TrialEnd],
+        verdicts: Mapping[str, ReplayVerdict],
+        *,
+        resumed: bool,
+    ) -> None:
+        """Let an attempt have a slot, with trials some of which may have been played already."""
+        entrant = self._player(self._state.entrants[one.entrant])
+        ids = [str(spec.id) for spec in specs]
+        slot = _Slot(
+            one,
+            entrant,
+            number,
+            dict(zip(ids, specs, strict=True)),
+            deque(trial_id for trial_id in ids if trial_id not in outcomes),
+            {trial_id for trial_id in ids if trial_id in outcomes and trial_id not in verdicts},
+            resumed,
+        )
+        self._slots[one.entrant] = slot
+        for trial_id in ids:
+            if trial_id in outcomes:
+                self._note_forfeit(slot, trial_id, outcomes[trial_id])
+        for trial_id in slot.unverified:
+            self._verify(slot, trial_id, outcomes[trial_id])
+
+    def _go_on(self, slot: _Slot) -> None:
+        """Play the next trial of an attempt, or end the attempt when there is none."""
+        assert self._dispatcher is not None
+        if not slot.left and not slot.unverified:
+            self._end(slot)
+        elif slot.left and not slot.playing:
+            slot.playing = True
+            self._play(slot, slot.left[0])
+
+    def _play(self, slot: _Slot, trial_id: str) -> None:
+        assert self._dispatcher is not None
+        spec, limits = slot.specs[trial_id], self._competition.limits
+        gate = None if self._gate is None else gate_of(self._gate, slot.number)
+        steps, log = self._steps[spec.id.parts[1]], log_path(self._directory, trial_id)
+        self.matches[trial_id] = Match(spec, slot.entrant, limits, steps, log, self._run, gate)
+        self._until[trial_id] = (
+            self._clock() + 2 * limits.start_seconds + limits.total_seconds + _SLACK_SECONDS
+        )
+        self._dispatcher.add(trial_id)
+
+    def _verify(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
+        assert self._dispatcher is not None
+        spec = slot.specs[trial_id]
+        steps = self._steps[spec.id.parts[1]]
+        self._replays[trial_id] = Replay(self._directory, spec, outcome, steps)
+        self._until[trial_id] = self._clock() + self._competition.limits.total_seconds + _SLACK_SECONDS
+        self._dispatcher.add(trial_id)
+
+    def _note_forfeit(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
+        if outcome.reason is not None and not slot.forfeit:
+            _, task, number = TrialId(trial_id).parts
+            slot.forfeit = f"{task}, trial {number % self._competition.trials}: {outcome.reason}"
+
+    def _end(self, slot: _Slot) -> None:
+        """Record that an attempt is over, and pause an entrant that fails again and again."""
+        name, now = slot.entrant.name, self._now()
+        self._rests.pop(name, None)
+        self._record(act(journal.OVER, name, slot.forfeit, now=now, number=slot.attempt.number))
+        most = self._state.season.failures
+        if self._state.entrants[name].failed >= most:
+            why = f"it has forfeited {most} attempts in a row, the last in {slot.forfeit}"
+            self._record(act(journal.PAUSE, name, why, now=now))
+
+    def _fail(self, slot: _Slot, why: str) -> None:
+        """Record that an attempt has failed, not by its entrant's fault, and let another wait for it."""
+        name, now = slot.entrant.name, self._now()
+        attempts = self._state.entrants[name].attempts
+        ours = act(journal.OURS, name, why, now=now, number=slot.attempt.number)
+        if slot.attempt.instead:
+            kind, more = journal.RERUN, {"instead": slot.attempt.instead}
+        else:
+            kind, more = journal.REQUEST, {}
+        why = f"instead of attempt {slot.attempt.number}"
+        again = act(kind, name, why, now=now, number=len(attempts) + 1, **more)
+        least, most = _REST_SECONDS
+        _, rest = self._rests.get(name, (0.0, least / 2))
+        rest = min(2 * rest, most)
+        self._rests[name] = self._clock() + rest, rest
+        self._slots_rest[slot.number] = self._clock() + least
+        self._record(ours, *([] if self._state.closed else [again]))
+
+    def _leave(self, slot: _Slot) -> None:
+        """Take the slot from an attempt that is no longer played."""
+        assert self._dispatcher is not None
+        del self._slots[slot.entrant.name]
+        for trial_id in slot.specs:
+            self._dispatcher.cancel(trial_id)
+            self._until.pop(trial_id, None)
+            self._replays.pop(trial_id, None)
+            self.matches.pop(trial_id, None)
+            if trial_id in self._records:
+                self._records.pop(trial_id).close()
+
+    # The collector of the dispatcher
+
+    def start(self, trial_id: str) -> Match | Replay:
+        """Return the job of a trial: its match, or its replay if it is over."""
+        return self._replays.get(trial_id) or super().start(trial_id)
+
+    def take(self, trial_id: str, report: Any) -> None:
+        """Store a report."""
+        if isinstance(report, Verified):
+            self._verified[trial_id] = report.verdict
+        else:
+            super().take(trial_id, report)
+
+    def starts_again(self, trial_id: str) -> bool:
+        """Return True: what was lost starts over."""
+        return trial_id in self._replays or super().starts_again(trial_id)
+
+    def end(self, trial_id: str, failure: str | None) -> None:
+        """Store the outcome of a trial that was played, or the verdict of one that was replayed."""
+        slot = self._slots[TrialId(trial_id).parts[0]]
+        self._until.pop(trial_id, None)
+        replayed = self._replays.pop(trial_id, None) is not None
+        if failure is not None:
+            if trial_id in self._records:
+                super().end(trial_id, failure)
+            self._fail(slot, failure)
+        elif replayed:
+            verdict = self._verified.pop(trial_id)
+            record_verdict(self._store, trial_id, verdict)
+            slot.unverified.remove(trial_id)
+            if verdict.problem is not None:
+                self._fail(slot, f"{trial_id} could not be verified: {verdict.problem}")
+            else:
+                self._go_on(slot)
+        elif slot.resumed and NOT_CONNECTED in self._forfeits.get(trial_id, ""):
+            super().end(trial_id, "the server was restarted, and its program did not come back")
+            self._fail(slot, "the server was restarted, and its program did not come back")
+        else:
+            outcome = self._finish(trial_id)
+            slot.resumed = False
+            self._note_forfeit(slot, trial_id, outcome)
+            slot.left.popleft()
+            slot.playing = False
+            slot.unverified.add(trial_id)
+            self._verify(slot, trial_id, outcome)
+            self._go_on(slot)
+
+
+def _line(one: Act) -> str:
+    """Return an act as a line of the log."""
+    number = f" {one.number}" if one.number else ""
+    return f"{one.act} {one.subject}{number}" + (f": {one.reason}" if one.reason else "")

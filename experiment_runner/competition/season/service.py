@@ -1,0 +1,70 @@
+"""A season as a service: its run directory, its door, its workers and its clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from datetime import UTC, datetime
+
+from experiment_runner.competition.season.control import Door
+from experiment_runner.competition.season.server import Server, gate_of
+from experiment_runner.competition.settings import Competition, Gate
+from experiment_runner.executors.dispatcher import Executor
+from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.store.store import Store
+from glue.errors import ConfigError
+from glue.keys.allowed import HUB
+from glue.keys.certificates import SECRET, read_pair
+
+
+def utc_now() -> datetime:
+    """Return the time."""
+    return datetime.now(UTC)
+
+
+def check_gate(competition: Competition, gate: Gate | None) -> None:
+    """Check that all who may connect from elsewhere can.
+
+    Raises:
+        ConfigError: there is no gate, it has no port for each slot, or a key cannot be read.
+    """
+    season = competition.season
+    assert season is not None
+    if gate is not None:
+        gate_of(gate, season.parallel - 1)
+        read_pair(gate.keys / f"{HUB}{SECRET}", "keys")
+    elif season.enrol != "closed" or any(entrant.key is not None for entrant in competition.entrants):
+        raise ConfigError(
+            "entrants with keys connect to this machine: give the directory of the hub's own pair (made by "
+            f"glue-keys new {HUB}), and an address to listen on",
+            settings=("keys", "bind"),
+        )
+
+
+def serve(
+    store: Store,
+    competition: Competition,
+    secret: bytes,
+    code: str | None,
+    gate: Gate | None,
+    executor: Executor,
+    say: Callable[[str], None],
+    *,
+    now: Callable[[], datetime] = utc_now,
+    clock: Callable[[], float] = time.monotonic,
+) -> None:
+    """Serve a season until it is closed; see `Server`.
+
+    Raises:
+        StorageError: the run cannot be written to.
+        ExperimentError: the executor can run nothing.
+        KeyboardInterrupt: on Ctrl-C or SIGTERM.
+    """
+    with ExitStack() as stack:
+        server = stack.enter_context(
+            Server(store, competition, secret, code, gate, say, now=now, clock=clock)
+        )
+        door = stack.enter_context(Door(store.directory, clock))
+        interrupts = stack.enter_context(Interrupts())
+        server.serve(door, executor, interrupts)

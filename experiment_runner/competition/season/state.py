@@ -1,0 +1,299 @@
+"""The state of a season: what the acts of its journal have made of it. No clock and no file is read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from datetime import date, datetime
+from typing import Final, Literal
+
+from experiment_runner.competition.course import Course
+from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.journal import ENTER, EVERYBODY, Act
+from experiment_runner.competition.settings import Season, changed
+from glue.errors import ExperimentError
+
+State = Literal["waiting", "playing", "over", "ours", "cancelled"]
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """An attempt: every proving task, as many trials of each as the competition has.
+
+    Args:
+        entrant: name of its owner.
+        number: among its owner's, from 1.
+        requested: when it was queued.
+        state: `waiting`, then `playing`, then one of the others, which are final. `over` were played to the
+            end or forfeited; `ours` were not, for a reason that is not the entrant's; `cancelled` never
+            began.
+        began: when it was let play; None before.
+        ended: when it got its final state; None before.
+        why: of `ours` and `cancelled`, the reason; of `over`, why it was forfeited, empty if it was not.
+        withdrawn: whether its owner has withdrawn it, so that it does not count.
+        instead: number of the attempt instead of which it counts; 0 if it is no rerun.
+        day: the day to which it is charged; None if it costs nothing, or one of the granted attempts.
+        granted: whether it costs one of the granted attempts.
+        order: number of the act that queued it, which orders attempts also if the clock was set back.
+    """
+
+    entrant: str
+    number: int
+    requested: datetime
+    state: State = "waiting"
+    began: datetime | None = None
+    ended: datetime | None = None
+    why: str = ""
+    withdrawn: bool = False
+    instead: int = 0
+    day: date | None = None
+    granted: bool = False
+    order: int = 0
+
+
+@dataclass(slots=True)
+class Enrolled:
+    """An entrant of a season.
+
+    Args:
+        act: that admitted it, with its alias, team and token, and with its present player and id.
+        attempts: by number, in the order in which they were queued.
+        excluded: the reason; empty if it is not excluded.
+        paused: the reason; empty if it is not paused.
+        granted: number of attempts that are left of those that were granted.
+        used: number of attempts that were charged to each day.
+        failed: attempts that it has forfeited in a row since its last image, or since it was resumed.
+        served: number of the act that last let an attempt of it play; 0 if none was.
+        current: its attempts that wait or play, by number.
+    """
+
+    act: Act
+    attempts: dict[int, Attempt] = field(default_factory=dict)
+    excluded: str = ""
+    paused: str = ""
+    granted: int = 0
+    used: Counter[date] = field(default_factory=Counter)
+    failed: int = 0
+    served: int = 0
+    current: dict[int, Attempt] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.act.subject
+
+    @property
+    def playing(self) -> Attempt | None:
+        """Its attempt that is playing."""
+        return next((one for one in self.current.values() if one.state == "playing"), None)
+
+    @property
+    def waiting(self) -> list[Attempt]:
+        """Its attempts that wait, oldest first."""
+        return [one for one in self.current.values() if one.state == "waiting"]
+
+    def standing(self, until: datetime | None = None) -> Iterator[tuple[Attempt, Attempt]]:
+        """Yield each attempt that is over and was neither withdrawn nor replaced by one that is over, after
+        the attempt in whose place it stands: itself, or the first of those that were run again.
+
+        Args:
+            until: later attempts are not over yet; None for no limit.
+        """
+        last: dict[int, Attempt] = {}
+        for one in self.attempts.values():
+            root = one
+            while root.instead:
+                root = self.attempts[root.instead]
+            if one.state == "over" and (until is None or (one.ended or one.requested) <= until):
+                last[root.number] = one
+        for number in sorted(last):
+            if not last[number].withdrawn:
+                yield self.attempts[number], last[number]
+
+
+@dataclass(slots=True)
+class SeasonState:
+    """What the acts of a journal have made of a season.
+
+    Args:
+        season: its rules, with the changes that were made to them.
+        entrants: by name, in the order of their admission.
+        paused: the reason why no attempt is let play; empty if attempts are.
+        frozen: when the public board was frozen by an act; None if it was not, or was thawed.
+        thawed: whether it was thawed, which also overrules `Season.freeze`.
+        closed: when the season was closed; None if it was not.
+        announcements: oldest first.
+        count: number of acts.
+    """
+
+    season: Season
+    entrants: dict[str, Enrolled] = field(default_factory=dict)
+    paused: str = ""
+    frozen: datetime | None = None
+    thawed: bool = False
+    closed: datetime | None = None
+    announcements: list[Act] = field(default_factory=list)
+    count: int = 0
+
+    @classmethod
+    def of(cls, course: Course) -> SeasonState:
+        """Return the state after all acts of a run's journal.
+
+        Raises:
+            ExperimentError: the competition has no season, or an act cannot have been.
+        """
+        if course.competition.season is None:
+            raise ExperimentError("the competition has no season: its file has no table [season]")
+        state = cls(course.competition.season)
+        for entrant in course.competition.entrants:
+            state.entrants[entrant.name] = Enrolled(Act("", ENTER, entrant.name, "", player=entrant.player))
+        for one in course.acts:
+            state.apply(one)
+        return state
+
+    def apply(self, one: Act) -> None:
+        """Take the next act of the journal into account.
+
+        Raises:
+            ExperimentError: it cannot have been.
+        """
+        self.count += 1
+        match one.act:
+            case journal.ENTER | journal.ADD | journal.ENROL:
+                self.entrants[one.subject] = Enrolled(one)
+            case journal.FREEZE:
+                self.frozen, self.thawed = one.when, False
+            case journal.THAW:
+                self.frozen, self.thawed = None, True
+            case journal.ANNOUNCE:
+                self.announcements.append(one)
+            case journal.CHANGE:
+                self.season = changed(self.season, one.subject, one.value)
+            case journal.CLOSE:
+                self.closed = one.when
+            case journal.PAUSE if one.subject == EVERYBODY:
+                self.paused = one.reason
+            case journal.RESUME if one.subject == EVERYBODY:
+                self.paused = ""
+            case journal.RERUN if one.trial:
+                pass  # of a trial that is played after the season
+            case journal.REQUEST | journal.RERUN:
+                self._queue(one)
+            case journal.START | journal.OVER | journal.OURS | journal.CANCEL | journal.WITHDRAW:
+                self._move(one)
+            case _:
+                self._about(one)
+
+    def entrant(self, name: str) -> Enrolled:
+        """Return an entrant.
+
+        Raises:
+            ExperimentError: there is none of this name.
+        """
+        if name not in self.entrants:
+            raise ExperimentError(f"there is no entrant {name:.80}")
+        return self.entrants[name]
+
+    def attempt(self, name: str, number: int) -> Attempt:
+        """Return an attempt.
+
+        Raises:
+            ExperimentError: there is none of this entrant and number.
+        """
+        attempts = self.entrant(name).attempts
+        if number not in attempts:
+            raise ExperimentError(f"{name} has no attempt {number}")
+        return attempts[number]
+
+    def attempts(self, *states: State) -> list[Attempt]:
+        """Return all attempts in these states; the cost of those that wait or play depends on no others."""
+        current = not {*states} - {"waiting", "playing"}
+        return [
+            one
+            for entrant in self.entrants.values()
+            for one in (entrant.current if current else entrant.attempts).values()
+            if one.state in states
+        ]
+
+    def frozen_at(self, now: datetime) -> datetime | None:
+        """Return since when the public board is frozen; None if it is not."""
+        if self.closed is not None or self.thawed:
+            return None
+        freeze = self.season.freeze
+        return freeze if self.frozen is None and freeze is not None and freeze <= now else self.frozen
+
+    def _about(self, one: Act) -> None:
+        """Take an act about an entrant into account."""
+        entrant = self.entrant(one.subject)
+        match one.act:
+            case journal.EXCLUDE:
+                entrant.excluded = one.reason
+            case journal.READMIT:
+                entrant.excluded = ""
+            case journal.PAUSE:
+                entrant.paused = one.reason
+            case journal.RESUME:
+                entrant.paused, entrant.failed = "", 0
+            case journal.IMAGE:
+                entrant.act = replace(entrant.act, player=one.player, id=one.id)
+                entrant.paused, entrant.failed = "", 0
+            case journal.GRANT:
+                entrant.granted += one.number
+            case _:
+                raise ExperimentError(f"the journal has an act {one.act!r:.80}, which there is not")
+
+    def _queue(self, one: Act) -> None:
+        entrant = self.entrant(one.subject)
+        if one.number != len(entrant.attempts) + 1:
+            raise ExperimentError(
+                f"the journal queues attempt {one.number} of {one.subject}, who has {len(entrant.attempts)}"
+            )
+        made = Attempt(one.subject, one.number, one.when, instead=one.instead, order=self.count)
+        if one.act == journal.RERUN:
+            self.attempt(one.subject, one.instead)
+        else:
+            day = made.requested.astimezone(self.season.days).date()
+            if entrant.used[day] < self.season.attempts_per_day:
+                made = replace(made, day=day)
+                entrant.used[day] += 1
+            else:
+                made = replace(made, granted=True)
+                entrant.granted -= 1
+        entrant.attempts[one.number] = entrant.current[one.number] = made
+
+    def _move(self, one: Act) -> None:
+        entrant, was = self.entrant(one.subject), self.attempt(one.subject, one.number)
+        if was.state not in _BEFORE[one.act]:
+            raise ExperimentError(
+                f"the journal has {one.act} of attempt {was.number} of {was.entrant}, which was {was.state}"
+            )
+        match one.act:
+            case journal.START:
+                new = replace(was, state="playing", began=one.when)
+                entrant.served = self.count
+            case journal.OVER:
+                new = replace(was, state="over", ended=one.when, why=one.reason)
+                entrant.failed = entrant.failed + 1 if one.reason else 0
+            case journal.WITHDRAW:
+                new = replace(was, withdrawn=True)
+            case _:
+                state: State = "ours" if one.act == journal.OURS else "cancelled"
+                new = replace(was, state=state, ended=one.when, why=one.reason, day=None, granted=False)
+                if was.day is not None:
+                    entrant.used[was.day] -= 1
+                entrant.granted += was.granted
+        entrant.attempts[was.number] = new
+        entrant.current.pop(was.number, None)
+        if new.state == "playing":
+            entrant.current[was.number] = new
+
+
+_BEFORE: Final[dict[str, tuple[State, ...]]] = {
+    journal.START: ("waiting",),
+    journal.OVER: ("playing",),
+    journal.OURS: ("waiting", "playing"),
+    journal.CANCEL: ("waiting",),
+    journal.WITHDRAW: ("over",),
+}
+"""The states of an attempt in which an act can be about it."""

@@ -1,0 +1,108 @@
+"""Try an agent at home, on the tasks of a season, as its server would play them.
+
+The season tells what is played, without its secret levels: here they are drawn from a public seed. It is not
+trusted: only environments that are installed here, by their names, are played.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from experiment_runner.competition.check import in_words, tried
+from experiment_runner.competition.match import MODULE, REPORTS
+from experiment_runner.competition.organiser import check, matches
+from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
+from experiment_runner.competition.starters import starter_for
+from experiment_runner.competition.trials import trials
+from experiment_runner.executors.workers import LocalExecutor
+from glue.console import one_line
+from glue.errors import ExperimentError
+from glue.plugins.loading import names
+from glue.wire.messages import Role
+
+_SEED: Final = b"at home"
+_LENGTHS: Final = ("episodes", "steps", "max_steps")
+_LEVELS: Final = ("level_seed", "mdp")
+"""Options that name a level, which a hidden task does not tell."""
+
+
+def tasks_of(competition: Competition) -> Mapping[str, Any]:
+    """Return what entrants may know of the tasks of a season, for JSON."""
+    tasks = []
+    for task in competition.proving:
+        kept = (name for name in task.options if name not in _LEVELS or not task.hidden)
+        options = {name: task.options[name] for name in kept}
+        # A path of the organiser's machine says nothing elsewhere.
+        told = {"name": task.name, "env": Path(task.env).name, "options": options}
+        lengths = {name: getattr(task, name) for name in _LENGTHS}
+        tasks.append(told | {name: length for name, length in lengths.items() if length})
+    return {
+        "name": competition.name,
+        "trials": competition.trials,
+        "limits": asdict(competition.limits),
+        "tasks": tasks,
+    }
+
+
+def competition_of(told: Mapping[str, Any]) -> Competition:
+    """Return the competition that `tasks_of` tells of.
+
+    Raises:
+        ExperimentError: it is something else, perhaps of a newer version; or an environment is missing here.
+    """
+    try:
+        competition = Competition(
+            name=str(told["name"]),
+            trials=int(told["trials"]),
+            tasks=tuple(msgspec.convert(task, Task, strict=True) for task in told["tasks"]),
+            limits=msgspec.convert(told["limits"], Limits),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        why = one_line(str(error), 200)
+        raise ExperimentError(f"the season tells of its tasks in another form, is it newer? {why}") from None
+    installed = names(Role.ENVIRONMENT)
+    for task in competition.tasks:
+        if task.env not in installed:
+            raise ExperimentError(
+                f"the environment {one_line(task.env, 80)} is not installed here: install its package; the "
+                "organiser knows which"
+            )
+    return competition
+
+
+def try_entrant(competition: Competition, entrant: Entrant, folder: Path, say: Callable[[str], None]) -> int:
+    """Let an entrant play an attempt; return the number of trials that it would have forfeited.
+
+    Args:
+        competition: its tasks and limits.
+        entrant: an image or a command.
+        folder: for the logs.
+        say: shows a line.
+
+    Raises:
+        ConfigError: the entrant cannot be started, or there is no such environment here.
+    """
+    found = replace(entrant, id=check(entrant, competition.limits))
+    competition = replace(competition, entrants=(found,))
+    made = matches(competition, trials(competition, _SEED), folder)
+    starter_for(found).sweep(made[0].run)
+    failed = 0
+    with LocalExecutor(1, MODULE, REPORTS, warm=[task.env for task in competition.tasks]) as executor:
+        for match in made:
+            episodes, used, problem = tried(executor, match)
+            _, task, number = match.spec.id.parts
+            steps = sum(episode.steps for episode in episodes)
+            total = sum(episode.episode_return for episode in episodes)
+            failed += problem is not None
+            played = f"score {total:.10g} in {len(episodes)} episodes, {steps:,} steps"
+            say(f"{task}, trial {number + 1} of {competition.trials}: {problem or played}")
+            if used is not None:
+                say(f"    {in_words(used, competition.limits)}")
+            if problem is not None:
+                say(f"    what it printed is in {match.log}")
+    return failed

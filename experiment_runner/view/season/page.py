@@ -1,0 +1,168 @@
+"""The page of a season: its routes, and who may see what.
+
+Everybody may look, without a token. A token in the address, as in `/?token=...`, is exchanged for a cookie,
+and shows its entrant its own row and reasons, or the organiser everything. The cookie is the token itself: it
+is as hard to guess, and still works when the page has been started again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from hashlib import sha256
+from pathlib import Path
+from typing import Final
+
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import BaseRoute, Route
+from starlette.types import ASGIApp
+
+from experiment_runner.competition.season.board import PUBLIC
+from experiment_runner.competition.season.control import NoServer, Reply, ask
+from experiment_runner.view.app import application, file_routes, static_file
+from experiment_runner.view.guard import READING, Address, Guard, cookie_of
+from experiment_runner.view.reader import Cache, Reader, json_response
+from experiment_runner.view.season.metrics import metrics_of
+from experiment_runner.view.season.replays import Replays
+from experiment_runner.view.season.views import Views, digest_of
+from experiment_runner.view.server import Connection
+
+_ENTRANCE: Final = "/season/api/"
+"""Prefix of the paths at which the programs of entrants sign what they send."""
+
+_UPLOAD: Final = "/season/api/image"
+_ASK_SECONDS: Final = 2.0
+_VIEWER: Final = "viewer"
+
+
+class Passing(Connection):
+    """A connection to a page that is open to all, which nobody has to admit.
+
+    It lasts for a minute, and gives way to newer ones like any that is not admitted: a browser asks again.
+    """
+
+    head_seconds = 60.0
+
+
+class SeasonGuard(Guard):
+    """Lets everybody read, and the programs of entrants send to the entrance.
+
+    Args:
+        app, address: as for `Guard`.
+        viewers: who may see more, by the digest of their token.
+    """
+
+    def __init__(self, app: ASGIApp, address: Address, viewers: Mapping[str, str]) -> None:
+        super().__init__(app, address)
+        self._viewers = viewers
+        self._cookie = _cookie(address)
+
+    def refusal(self, request: Request) -> Response | None:
+        """Return the refusal of a request that neither reads nor is for the entrance."""
+        path = request.url.path
+        if request.method not in READING and not path.startswith(_ENTRANCE):
+            return PlainTextResponse("The page can only be read.", 405, {"Allow": ", ".join(READING)})
+        viewer = self._viewers.get(digest_of(cookie_of(request, self._cookie)), PUBLIC)
+        request.scope[_VIEWER] = viewer
+        if viewer != PUBLIC or (path == _UPLOAD and request.method == "PUT"):
+            self.admit(request)
+        return None
+
+
+def season_page(views: Views, address: Address, entrance: Callable[[Path], list[BaseRoute]]) -> Guard:
+    """Return the application, guarded.
+
+    Args:
+        views: of the season.
+        address: the names by which it may be addressed.
+        entrance: returns the routes below `/season/api/` for the directory of a season.
+
+    Raises:
+        ExperimentError: the season cannot be read.
+    """
+    directory, viewers = views.directory, dict(views.viewers())
+    read, server, replays, answers = Reader("views"), Reader("server"), Replays(), Cache()
+
+    async def changing(request: Request, kind: str, what: Callable[[str], bytes]) -> Response:
+        viewer: str = request.scope[_VIEWER]
+        return _unchanged_or(request, await read(lambda: what(viewer)), kind)
+
+    async def first(request: Request) -> Response:
+        token = request.query_params.get("token")
+        if token is None:
+            return await index(request)
+        viewers.update(await server(views.viewers))  # it may have enrolled a moment ago
+        if digest_of(token) not in viewers:
+            return PlainTextResponse("This token opens nothing here: the page itself is open to all.", 403)
+        return guard.logged_in(_cookie(address), token)
+
+    async def board(request: Request) -> Response:
+        return await changing(request, "application/json", views.board)
+
+    async def entrant(request: Request) -> Response:
+        name = request.path_params["name"]
+        return await changing(request, "application/json", lambda viewer: views.entrant(viewer, name))
+
+    async def feed(request: Request) -> Response:
+        return await changing(request, "application/atom+xml", lambda _: views.feed())
+
+    async def listing(request: Request) -> Response:
+        viewer, (name, attempt) = request.scope[_VIEWER], request.path_params.values()
+        content = await replays(lambda: views.replays(viewer, name, attempt))
+        return _unchanged_or(request, content, "application/json")
+
+    async def replay(request: Request) -> Response:
+        viewer, where = request.scope[_VIEWER], request.path_params.values()
+        content = await replays(lambda: views.replay(viewer, *where))
+        return _unchanged_or(request, content, "application/octet-stream")
+
+    def status() -> Reply | None:
+        """Return the status of the server, which is asked once a second at most."""
+        found: Reply | None = answers.get("status", int(time.monotonic()), asked)
+        return found
+
+    def asked() -> Reply | None:
+        try:
+            return ask(directory, {"do": "status"}, _ASK_SECONDS)
+        except NoServer:
+            return None
+
+    async def healthz(request: Request) -> Response:
+        found = await server(status)
+        why = "no server answers: nothing is played" if found is None else found.get("why", "")
+        return json_response({"ok": found is not None, "why": why}, 503 if found is None else 200)
+
+    async def metrics(request: Request) -> Response:
+        found = await server(status)
+        content, kind = await read(lambda: metrics_of(views.state, found))
+        return Response(content, media_type=kind)
+
+    index: Callable[[Request], Awaitable[Response]] = static_file("season.html")
+    routes = [
+        Route("/", first),
+        *file_routes(),
+        Route("/season.json", board),
+        Route("/entrants/{name}.json", entrant),
+        Route("/feed.xml", feed),
+        Route("/replays/{name}/{attempt:int}.json", listing),
+        Route("/replays/{name}/{attempt:int}/{task}/{trial:int}/{episode:int}", replay),
+        Route("/healthz", healthz),
+        Route("/metrics", metrics),
+        *entrance(directory),
+    ]
+    guard = SeasonGuard(application(routes, "entrant, attempt or trial"), address, viewers)
+    return guard
+
+
+def _cookie(address: Address) -> str:
+    return f"glue-season-{address.port}"  # cookies do not distinguish ports
+
+
+def _unchanged_or(request: Request, content: bytes, kind: str) -> Response:
+    """Return a response that the browser keeps and asks about, without content if it has not changed."""
+    tag = f'"{sha256(content).hexdigest()[:32]}"'
+    headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Cookie"}
+    if request.headers.get("if-none-match") == tag:
+        return Response(status_code=304, headers=headers)
+    return Response(content, media_type=kind, headers=headers)

@@ -1,0 +1,135 @@
+"""`glue-agent --season season.toml`: play a whole attempt, every trial with a new agent."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from glue.console import say
+from glue.errors import ConfigError, GlueError, HubUnreachable
+from glue.hub.config import HUB_KEY_VARIABLE, HUB_VARIABLE, KEY_VARIABLE, SESSION_VARIABLE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from glue.client.season import Serve
+    from glue.client.target import Target
+
+_JOIN_SECONDS: Final = 10.0
+"""Time for a hub to be there; then the page is asked again."""
+
+_LOOK_SECONDS: Final = 5.0
+"""Time after which the page is asked whether a trial is still being played."""
+
+_END_SECONDS: Final = 5.0
+"""Time for a program to end after its trial."""
+
+SEASON_SETTINGS: Final[dict[str, Any]] = {
+    "type": click.Path(path_type=Path, dir_okay=False),
+    "metavar": "FILE",
+    "help": "Play an attempt of the season of FILE, a season.toml of glue-compete join.",
+}
+"""The option `--season`."""
+
+
+def play_agents(file: Path, make: Callable[[], Any], name: str) -> None:
+    """Play an attempt, each trial with an agent of `make`, named `name`; print the result.
+
+    Raises:
+        GlueError: as `Season.play`.
+    """
+    from glue.client.players import serve_agent
+
+    def serve(target: Target, on: Callable[[], bool]) -> None:
+        agent, key = make(), target.key
+        assert key is not None
+        try:
+            serve_agent(
+                {target.session: agent},
+                target.hub,
+                key=key.file,
+                hub_key=encode(key.hub),
+                wait=_JOIN_SECONDS,
+                name=name,
+            )
+        except HubUnreachable:
+            pass  # the trial may be over
+        except GlueError as error:
+            say(f"Error: {error}")  # the trial is forfeited, but not the next one
+
+    from glue.keys.certificates import encode
+
+    _play(file, serve)
+
+
+def play_programs(file: Path, command: Sequence[str]) -> None:
+    """Play an attempt, each trial with a new process of a program; without one, print where to find the hub.
+
+    A program finds the hub without a key, through a relay of this process, so that it can be in any language.
+
+    Raises:
+        ConfigError: there is no such program.
+        GlueError: as `Season.play`.
+    """
+    if command and shutil.which(command[0]) is None:
+        raise ConfigError(f"there is no program {command[0]!r} here: name it with its path, as in ./agent")
+
+    def serve(target: Target, on: Callable[[], bool]) -> None:
+        with _relayed(target) as hub:
+            place = {HUB_VARIABLE: hub, SESSION_VARIABLE: target.session}
+            if command:
+                _run(command, place, on)
+                return
+            for name, value in place.items():
+                click.echo(f"export {name}={value}")
+            while on():
+                clock.sleep(_LOOK_SECONDS)
+
+    from glue.system import clock
+
+    _play(file, serve)
+
+
+def _play(file: Path, serve: Serve) -> None:
+    from glue.client.season import Season, read_membership, result
+
+    click.echo(result(Season(read_membership(file)).play(serve, say)))
+
+
+@contextmanager
+def _relayed(target: Target) -> Iterator[str]:
+    from glue.client.libzmq import Relay
+
+    with tempfile.TemporaryDirectory(prefix="glue-") as folder:
+        hub = f"ipc://{folder}/hub"
+        with Relay(hub, target):
+            yield hub
+
+
+def _run(command: Sequence[str], place: dict[str, str], on: Callable[[], bool]) -> None:
+    """Run a program until it ends, or its trial is over."""
+    others = {name: text for name, text in os.environ.items() if name not in (KEY_VARIABLE, HUB_KEY_VARIABLE)}
+    try:
+        program = subprocess.Popen(command, env={**others, **place})
+    except OSError as error:
+        raise ConfigError(f"cannot start {command[0]}: {error.strerror}") from None
+    try:
+        while on():
+            with suppress(subprocess.TimeoutExpired):
+                program.wait(_LOOK_SECONDS)
+                break
+    finally:
+        for insist in (program.terminate, program.kill):
+            insist()  # nothing happens if it has ended
+            with suppress(subprocess.TimeoutExpired):
+                program.wait(_END_SECONDS)
+    if program.returncode:
+        say(f"{command[0]} ended with status {program.returncode}")

@@ -1,0 +1,258 @@
+"""Who gets through the entrance of a season, and what is left at it."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
+pytest.importorskip("uvicorn", reason="needs the extra web")
+
+from experiment_runner.competition.season.control import Attempt, Enrol, TryLater, Withdraw
+from experiment_runner.competition.season.entrance import Denied, Rate
+from experiment_runner.competition.season.trying import competition_of
+from glue.client.libzmq import new_pair
+from glue.client.season import Page, Season, SeasonBusy, SeasonRefused, join
+from glue.errors import ExperimentError
+from glue.keys.certificates import encode
+from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
+from tests.system.runs import wait_until
+
+ATTEMPT = "/season/api/attempt"
+
+
+def digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Entrance]:
+    with entrance_at(tmp_path_factory.mktemp("season") / "run") as entrance:
+        yield entrance
+
+
+@pytest.fixture
+def entrance(shared: Entrance) -> Entrance:
+    shared.replies.clear()
+    shared.asked.clear()
+    return shared
+
+
+def test_whoever_joins_shows_their_key(entrance: Entrance) -> None:
+    pair, hub = new_pair(), encode(new_pair().public)
+    entrance.replies = [{"hub_key": hub, "token": "t", "alias": "red fox"}]
+    reply = join(Page(entrance.url), "bob", pair, "lemonade", "")
+    assert reply == {"hub_key": hub, "token": "t", "alias": "red fox"}
+    assert entrance.asked == [Enrol("bob", encode(pair.public), "lemonade")]
+
+
+def test_nobody_joins_with_the_key_of_another(entrance: Entrance) -> None:
+    body = f'{{"name": "alice", "key": "{encode(new_pair().public)}"}}'.encode()
+    headers = entrance.headers("POST", "/season/api/join", digest(body))
+    status, _, answer = entrance.ask("POST", "/season/api/join", body, headers)
+    assert (status, "not signed with the key" in answer["error"]) == (403, True)
+    body = b'{"name": "x", "key": "y"}'
+    status, _, answer = entrance.ask("POST", "/season/api/join", body, {"Glue-Digest": digest(body)})
+    assert (status, "not a public key" in answer["error"]) == (400, True)
+    assert not entrance.asked
+
+
+def test_an_entrant_is_who_has_signed(entrance: Entrance, tmp_path: Path) -> None:
+    season = Season(entrance.membership(tmp_path))
+    entrance.replies = [{"state": "waiting", "attempt": 3, "place": 2}, {}]
+    assert season.ask("attempt", {"attempt": 0}) == {"state": "waiting", "attempt": 3, "place": 2}
+    assert season.ask("withdraw", {"attempt": 2}) == {}
+    assert entrance.asked == [Attempt("alice"), Withdraw("alice", 2)]
+
+
+def test_strangers_and_posers_do_not_reach_the_server(entrance: Entrance) -> None:
+    body = digest(b"{}")
+    right = entrance.headers("POST", ATTEMPT, body)
+    for headers in (
+        {},
+        {"Glue-Entrant": "é"},
+        {**right, "Glue-Entrant": "bob"},
+        {**right, "Glue-Time": "1"},
+        entrance.headers("POST", ATTEMPT, body, new_pair()),
+        entrance.headers("POST", "/season/api/withdraw", body),
+    ):
+        assert entrance.ask("POST", ATTEMPT, b"{}", headers)[0] == 403, headers
+    assert not entrance.asked
+
+
+def test_a_request_that_was_overheard_cannot_be_sent_again(entrance: Entrance) -> None:
+    entrance.replies = [{"state": "waiting", "attempt": 1}]
+    headers = entrance.headers("POST", ATTEMPT, digest(b"{}"))
+    assert entrance.ask("POST", ATTEMPT, b"{}", headers)[0] == 200
+    status, _, answer = entrance.ask("POST", ATTEMPT, b"{}", headers)
+    assert (status, "has come before" in answer["error"]) == (403, True)
+    assert len(entrance.asked) == 1
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        (b"[]", 400),
+        (b"{", 400),
+        (b"[" * 10_000, 400),
+        (b'{"attempt": "1"}', 403),
+        (b'{"more": 1}', 403),
+        (b'{"more": "' + b"x" * 20_000 + b'"}', 413),
+    ],
+)
+def test_a_body_is_a_small_json_object(entrance: Entrance, body: bytes, status: int) -> None:
+    assert entrance.ask("POST", ATTEMPT, body, entrance.headers("POST", ATTEMPT, digest(body)))[0] == status
+    assert not entrance.asked
+
+
+def test_nobody_asks_for_another_or_for_something_else(entrance: Entrance) -> None:
+    body = b'{"do": "withdraw", "entrant": "bob", "attempt": 2}'
+    entrance.replies = [{}]
+    assert entrance.ask("POST", ATTEMPT, body, entrance.headers("POST", ATTEMPT, digest(body)))[0] == 200
+    assert entrance.asked == [Attempt("alice", 2)]
+
+
+def test_a_body_is_the_one_that_was_signed(entrance: Entrance) -> None:
+    headers = entrance.headers("POST", ATTEMPT, digest(b"{}"))
+    status, _, answer = entrance.ask("POST", ATTEMPT, b'{"attempt": 1}', headers)
+    assert (status, "not the one that was signed" in answer["error"]) == (400, True)
+
+
+def test_what_the_server_says_reaches_its_entrant(entrance: Entrance, tmp_path: Path) -> None:
+    season = Season(entrance.membership(tmp_path))
+    entrance.replies = [ExperimentError("all 5 attempts of today are used"), TryLater("one waits", 7.2)]
+    with pytest.raises(SeasonRefused, match="all 5 attempts"):
+        season.ask("attempt", {})
+    with pytest.raises(SeasonBusy, match="one waits") as caught:
+        season.ask("attempt", {})
+    assert caught.value.seconds == 8
+
+
+def test_without_a_server_one_is_asked_to_come_again(tmp_path: Path) -> None:
+    with entrance_at(tmp_path / "run", server=False) as entrance:
+        headers = entrance.headers("POST", ATTEMPT, digest(b"{}"))
+        status, found, answer = entrance.ask("POST", ATTEMPT, b"{}", headers)
+    assert (status, found["retry-after"]) == (503, "10")
+    assert "not running" in answer["error"]
+
+
+def test_the_tasks_are_told_without_what_is_hidden(entrance: Entrance) -> None:
+    told = Page(entrance.url).ask("GET", "tasks")
+    assert [(task["name"], task["options"]) for task in told["tasks"]] == [
+        ("mines", {"random_start": True}),
+        ("secret", {"random_start": False}),
+    ]
+    found = competition_of(told)
+    assert [(task.steps, task.episodes) for task in found.tasks] == [(20, 0), (0, 3)]
+    assert found.trials == 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"tasks": 7}, {"limits": {"cpus": "many"}}, {"trials": None}, {"tasks": [{"name": "x"}]}],
+)
+def test_tasks_in_another_form_are_refused(entrance: Entrance, change: dict[str, Any]) -> None:
+    with pytest.raises(ExperimentError, match="in another form"):
+        competition_of({**Page(entrance.url).ask("GET", "tasks"), **change})
+
+
+def test_no_code_is_loaded_because_a_season_names_it(entrance: Entrance) -> None:
+    told = Page(entrance.url).ask("GET", "tasks")
+    task = {"name": "x", "env": "subprocess:Popen", "episodes": 1}
+    with pytest.raises(ExperimentError, match="not installed here"):
+        competition_of({**told, "tasks": [task]})
+
+
+def left(entrance: Entrance) -> list[Path]:
+    return list((entrance.folder / "uploads").glob("*"))
+
+
+def put(entrance: Entrance, size: int, content: bytes) -> socket.socket:
+    """Begin to upload an image."""
+    headers = entrance.headers("PUT", "/season/api/image", digest(b"x" * size))
+    lines = ["PUT /season/api/image HTTP/1.1", "Host: here", f"Content-Length: {size}"]
+    lines += [f"{name}: {value}" for name, value in headers.items()]
+    connected = socket.create_connection(("127.0.0.1", entrance.port))
+    connected.sendall("\r\n".join([*lines, "", ""]).encode() + content)
+    return connected
+
+
+def test_an_upload_that_stops_half_way_leaves_nothing_and_is_one_at_a_time(tmp_path: Path) -> None:
+    with entrance_at(tmp_path / "run") as entrance:
+        with put(entrance, 100_000, b"x" * 50_000):
+            wait_until(lambda: len(left(entrance)) == 1, "the upload")
+            season = Season(entrance.membership(tmp_path))
+            with pytest.raises(SeasonBusy, match="another image"):
+                season.ask("image", io.BytesIO(b"x"), "PUT")
+        wait_until(lambda: not left(entrance), "its end")
+        assert not entrance.asked
+
+
+def test_an_upload_that_is_too_large_is_refused_before_it_comes(entrance: Entrance, tmp_path: Path) -> None:
+    with pytest.raises(SeasonRefused, match=r"has 2\.0 MiB, and 1 MiB are allowed"):
+        Season(entrance.membership(tmp_path)).ask("image", io.BytesIO(bytes(2**21)), "PUT")
+    assert not left(entrance)
+
+
+def test_an_upload_that_is_no_image_is_refused(entrance: Entrance, tmp_path: Path) -> None:
+    with pytest.raises(SeasonRefused, match="not as docker save writes it"):
+        Season(entrance.membership(tmp_path)).ask("image", io.BytesIO(b"no image" * 1000), "PUT")
+    assert not left(entrance)
+    assert not entrance.asked
+
+
+def test_a_season_may_take_no_images(tmp_path: Path) -> None:
+    with (
+        entrance_at(tmp_path / "run", FILE.replace("images = true", "images = false")) as entrance,
+        pytest.raises(SeasonRefused, match="takes no images"),
+    ):
+        Season(entrance.membership(tmp_path)).ask("image", io.BytesIO(b"x"), "PUT")
+
+
+def test_an_entrant_that_asks_too_often_has_to_wait(tmp_path: Path) -> None:
+    with entrance_at(tmp_path / "run") as entrance:
+        entrance.replies = [{"state": "waiting", "attempt": 1}] * 100
+        season = Season(entrance.membership(tmp_path))
+
+        def ask() -> None:
+            for _ in range(100):
+                season.ask("attempt", {})
+
+        with pytest.raises(SeasonBusy, match="too many requests"):
+            ask()
+        assert 30 <= len(entrance.asked) < 100
+
+
+def test_a_rate_grants_a_burst_and_then_its_share() -> None:
+    now = 1000.0
+    rate = Rate(2.0, 3, lambda: now)
+    for _ in range(3):
+        rate.take("alice")
+    with pytest.raises(Denied) as caught:
+        rate.take("alice")
+    assert (caught.value.status, caught.value.seconds) == (429, 0.5)
+    rate.take("bob")
+    now += 0.5
+    rate.take("alice")
+    with pytest.raises(Denied):
+        rate.take("alice")
+    now += 3600
+    for _ in range(3):
+        rate.take("alice")
+    with pytest.raises(Denied):
+        rate.take("alice")
+
+
+def test_a_rate_forgets_those_who_have_rested() -> None:
+    now = 0.0
+    rate = Rate(1.0, 2, lambda: now)
+    for number in range(30_000):
+        now += 0.001
+        rate.take(f"stranger {number}")
+    assert len(rate._used_until) <= 10_000

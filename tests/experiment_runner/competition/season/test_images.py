@@ -1,0 +1,180 @@
+"""Tars of docker save: what of them reaches the engine, and what is refused before that."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import io
+import json
+import platform
+import tarfile
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from experiment_runner.competition.season.images import UnfitImage, copy_image
+from glue.errors import ConfigError
+
+MOST = 2**20
+PROCESSOR = {"x86_64": "amd64", "aarch64": "arm64"}.get(platform.machine(), platform.machine())
+
+
+def tar(files: Mapping[str, bytes | tarfile.TarInfo]) -> bytes:
+    """Return a tar of files, and of members that are something else."""
+    written = io.BytesIO()
+    with tarfile.open(fileobj=written, mode="w", format=tarfile.GNU_FORMAT) as archive:
+        for name, content in files.items():
+            if isinstance(content, tarfile.TarInfo):
+                archive.addfile(content)
+            else:
+                member = tarfile.TarInfo(name)
+                member.size = len(content)
+                archive.addfile(member, io.BytesIO(content))
+    return written.getvalue()
+
+
+def link(name: str, target: str) -> tarfile.TarInfo:
+    member = tarfile.TarInfo(name)
+    member.type, member.linkname = tarfile.SYMTYPE, target
+    return member
+
+
+LAYER = tar({"agent.py": b"print('hello')" * 100})
+
+
+def config(**changes: Any) -> bytes:
+    found = {"os": "linux", "architecture": PROCESSOR, "config": {"Cmd": ["agent"]}, **changes}
+    return json.dumps(found).encode()
+
+
+def image(
+    layers: Mapping[str, bytes | tarfile.TarInfo] | None = None,
+    settings: bytes | None = None,
+    more: Mapping[str, bytes] | None = None,
+    tags: list[str] | None = None,
+) -> dict[str, bytes | tarfile.TarInfo]:
+    """Return the files of an image as docker save writes them."""
+    layers = {"one/layer.tar": LAYER} if layers is None else layers
+    manifest = [{"Config": "abc.json", "RepoTags": tags or ["alice/agent:1"], "Layers": list(layers)}]
+    return {
+        **layers,
+        "abc.json": settings or config(),
+        "manifest.json": json.dumps(manifest).encode(),
+        **(more or {}),
+    }
+
+
+def copied(files: Mapping[str, bytes | tarfile.TarInfo], most: int = MOST) -> dict[str, bytes]:
+    """Return the files of the copy."""
+    target = io.BytesIO()
+    copy_image(io.BytesIO(tar(files)), target, most)
+    target.seek(0)
+    with tarfile.open(fileobj=target) as archive:
+        found = {}
+        for member in archive:
+            file = archive.extractfile(member)
+            assert file is not None
+            found[member.name] = file.read()
+        return found
+
+
+def test_an_image_keeps_its_bytes_and_loses_its_names() -> None:
+    more = {"repositories": b'{"glue-hub": {"latest": "x"}}', "index.json": b"{}", "oci-layout": b"{}"}
+    found = copied(image(more=more, tags=["glue-hub:latest", "python:3.11"]))
+    assert found.keys() == {"0.tar", "config.json", "manifest.json"}
+    assert found["0.tar"] == LAYER
+    assert found["config.json"] == config()
+    assert json.loads(found["manifest.json"]) == [
+        {"Config": "config.json", "RepoTags": None, "Layers": ["0.tar"]}
+    ]
+
+
+def test_a_layer_of_gzip_stays_one() -> None:
+    packed = gzip.compress(LAYER)
+    assert copied(image({"blobs/sha256/1": packed}))["0.tar"] == packed
+
+
+def test_a_layer_that_is_there_already_is_a_link() -> None:
+    found = copied(
+        image({"one/layer.tar": LAYER, "two/layer.tar": link("two/layer.tar", "../one/layer.tar")})
+    )
+    assert found["0.tar"] == found["1.tar"] == LAYER
+
+
+def sparse() -> bytes:
+    """Return a tar with a sparse file of 64 GiB, in the old format of GNU."""
+    member = tarfile.TarInfo("huge")
+    header = bytearray(member.tobuf(tarfile.GNU_FORMAT))
+    header[156:157] = b"S"
+    header[386:398], header[398:410] = b"%011o\0" % 0, b"%011o\0" % 0
+    header[483:495] = b"\x80" + (64 * 2**30).to_bytes(11, "big")
+    header[148:156] = b" " * 8
+    header[148:156] = b"%06o\0 " % sum(header)
+    return bytes(header) + bytes(1024)
+
+
+@pytest.mark.parametrize(
+    ("layer", "why"),
+    [
+        (gzip.compress(tar({"zeros": bytes(64 * MOST)})), "too large"),
+        (gzip.compress(bytes(64 * MOST)), "too large"),
+        (sparse(), "too large"),
+        (tar({f"{number}": b"" for number in range(300)}), "too large"),
+        (bz2.compress(LAYER), "not by gzip"),
+        (b"no tar at all" * 100, "a layer is not as docker save"),
+        (gzip.compress(LAYER)[:100], "a layer is not as docker save"),
+    ],
+    ids=["bomb", "zeros", "sparse", "many files", "bzip2", "text", "cut"],
+)
+def test_a_layer_that_cannot_be_counted_or_takes_too_much_is_refused(layer: bytes, why: str) -> None:
+    with pytest.raises(UnfitImage, match=why):
+        copied(image({"one/layer.tar": layer}))
+
+
+def test_all_layers_count_together() -> None:
+    layer = tar({"file": bytes(2**18)})
+    layers: dict[str, bytes | tarfile.TarInfo] = {f"{number}/layer.tar": layer for number in range(5)}
+    with pytest.raises(UnfitImage, match="more than 1 MiB"):
+        copied(image(layers))
+    assert len(copied(image(layers), 2 * MOST)) == 7
+
+
+@pytest.mark.parametrize(
+    ("files", "why"),
+    [
+        ({}, "no manifest.json"),
+        ({"manifest.json": b"["}, "not JSON"),
+        ({"manifest.json": b"[" * 100_000}, "not JSON"),
+        ({"manifest.json": b"[]"}, "not one image"),
+        ({"manifest.json": b"[{},{}]"}, "not one image"),
+        ({"manifest.json": b"[{}]"}, "is not that of an image"),
+        ({"manifest.json": bytes(2**23)}, "more than"),
+        (image({"../../etc/passwd": link("../../etc/passwd", "/etc/passwd")}), "has no"),
+        (image({"one": link("one", "two"), "two": link("two", "one")}), "has no"),
+        (image(settings=b"{}"), "its configuration"),
+        ({f"{number}": b"" for number in range(1200)}, "more than 1,000 parts"),
+    ],
+)
+def test_what_is_no_image_is_refused(files: dict[str, bytes | tarfile.TarInfo], why: str) -> None:
+    with pytest.raises(UnfitImage, match=why):
+        copied(files)
+
+
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [
+        (config(architecture="s390x"), "for the platform"),
+        (config(config={"Cmd": ["a"], "Volumes": {"/data": {}}}), "VOLUME"),
+        (config(config={"Env": []}), "nothing to run"),
+    ],
+)
+def test_an_image_that_could_not_be_jailed_is_refused(settings: bytes, why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        copied(image(settings=settings))
+
+
+@pytest.mark.parametrize("data", [b"", b"\0" * 5000, b"hello" * 1000, tar(image())[:700]])
+def test_what_is_no_tar_is_refused(data: bytes) -> None:
+    with pytest.raises(UnfitImage):
+        copy_image(io.BytesIO(data), io.BytesIO(), MOST)

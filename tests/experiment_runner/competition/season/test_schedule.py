@@ -1,0 +1,198 @@
+"""Turns, quotas and the state of attempts, from made-up journals."""
+
+from __future__ import annotations
+
+from collections import Counter
+from datetime import UTC, datetime, timedelta
+from zoneinfo import ZoneInfo
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.journal import EVERYBODY, act
+from experiment_runner.competition.season.schedule import left, next_attempts, queue, request, returns_at
+from glue.errors import ExperimentError
+from tests.experiment_runner.competition.season.made import FILE, Made
+
+NAMES = ("ann", "bob", "cy")
+
+
+def made(more: str = "") -> Made:
+    """Return a season with further settings."""
+    return Made(NAMES, FILE.replace("[season]", f"[season]\n{more}"))
+
+
+def ask(season: Made, name: str) -> None:
+    """Let an entrant ask for an attempt."""
+    season.acts.append(request(season.state, name, season.now))
+
+
+def chosen(season: Made) -> list[tuple[str, int]]:
+    return [(one.entrant, one.number) for one in next_attempts(season.state, season.now)]
+
+
+def test_a_thousand_attempts_of_one_delay_another_by_one() -> None:
+    season = made("attempts_per_day = 1000\nmost_waiting = 999")
+    for number in range(1, 1001):
+        season.act(journal.REQUEST, "ann", number=number)
+    assert chosen(season) == [("ann", 1)]
+    season.act(journal.START, "ann", number=1)
+    ask(season, "bob")
+    assert chosen(season) == []  # one slot
+    season.act(journal.OVER, "ann", number=1)
+    assert chosen(season) == [("bob", 1)]
+    assert queue(season.state)[1].number == 2
+    with pytest.raises(ExperimentError, match="wait already"):
+        ask(season, "ann")
+
+
+_WISHES = st.lists(
+    st.tuples(st.sampled_from(["ask", "start", "over", "ours"]), st.sampled_from(NAMES)), max_size=60
+)
+
+
+@given(_WISHES, st.integers(1, 3))
+def test_turns_are_fair_and_an_entrant_plays_one_attempt_at_a_time(
+    wishes: list[tuple[str, str]], parallel: int
+) -> None:
+    season = made(f"parallel = {parallel}\nattempts_per_day = 100\nmost_waiting = 100")
+    state = season.state
+    starts: list[tuple[str, int]] = []
+    for what, name in wishes:
+        playing = state.entrants[name].playing
+        if what == "ask":
+            state.apply(request(state, name, season.now))
+        elif what == "start":
+            for one in next_attempts(state, season.now):
+                state.apply(act(journal.START, one.entrant, "", now=season.now, number=one.number))
+                starts.append((one.entrant, state.count))
+        elif playing is not None:
+            state.apply(act(what, name, "", now=season.now, number=playing.number))
+        running = [one.entrant for one in state.attempts("playing")]
+        assert len(running) == len(set(running)) <= parallel
+        for one in (
+            one for one in state.attempts("waiting") if one == state.entrants[one.entrant].waiting[0]
+        ):
+            since = [name for name, order in starts if order > one.order and name != one.entrant]
+            assert max(Counter(since).values(), default=0) <= 1 + (
+                state.entrants[one.entrant].served > one.order
+            )
+
+
+def test_a_slot_is_not_kept_for_one_who_is_not_there() -> None:
+    season = made()
+    ask(season, "ann")
+    ask(season, "bob")
+    found = next_attempts(season.state, season.now, lambda one: one.entrant != "ann")
+    assert [one.entrant for one in found] == ["bob"]
+
+
+def test_nobody_plays_during_a_pause_before_the_season_or_after_its_end() -> None:
+    season = made()
+    ask(season, "ann")
+    ask(season, "bob")
+    season.act(journal.PAUSE, "ann", "three forfeits")
+    assert chosen(season) == [("bob", 1)]
+    season.act(journal.PAUSE, EVERYBODY, "maintenance")
+    assert chosen(season) == []
+    season.act(journal.RESUME, EVERYBODY, "it is done")
+    season.act(journal.RESUME, "ann", "it has a new image")
+    assert chosen(season) == [("ann", 1)]
+    assert next_attempts(season.state, datetime(2026, 11, 30, tzinfo=UTC)) == []
+    assert next_attempts(season.state, datetime(2026, 12, 20, tzinfo=UTC))  # what waits is still played
+    season.act(journal.CLOSE)
+    assert chosen(season) == []
+
+
+def test_a_day_ends_at_midnight_in_the_time_zone_of_the_season() -> None:
+    season = made('attempts_per_day = 2\nzone = "America/New_York"')
+    season.now = datetime(2026, 12, 2, 4, 0, tzinfo=UTC)  # 23:00 of the day before
+    for _ in range(2):
+        ask(season, "ann")
+    state = season.state
+    assert left(state, state.entrants["ann"], season.now) == 0
+    midnight = datetime(2026, 12, 2, tzinfo=ZoneInfo("America/New_York"))
+    assert returns_at(state, season.now) == midnight
+    with pytest.raises(
+        ExperimentError, match="used its 2 attempts of today; the next day begins at 2026-12-02 00:00"
+    ):
+        ask(season, "ann")
+    assert left(state, state.entrants["ann"], midnight) == 2
+    assert left(state, state.entrants["ann"], midnight - timedelta(days=1)) == 0  # the clock was set back
+    assert returns_at(state, datetime(2026, 12, 19, 12, tzinfo=UTC)) is None
+
+
+def test_what_is_not_the_entrants_fault_costs_nothing_and_grants_are_used_last() -> None:
+    season = made("attempts_per_day = 1")
+
+    def remaining() -> int:
+        return left(season.state, season.state.entrants["ann"], season.now)
+
+    ask(season, "ann")
+    season.act(journal.START, "ann", number=1)
+    season.act(journal.OURS, "ann", "the disk was full", number=1)
+    assert remaining() == 1
+    season.attempt("ann", 1.0)
+    assert remaining() == 0
+    season.attempt("ann", 2.0, instead=2)  # a rerun
+    assert remaining() == 0
+    season.act(journal.GRANT, "ann", "the network was down", number=2)
+    assert remaining() == 2
+    ask(season, "ann")
+    assert remaining() == 1
+    season.act(journal.CANCEL, "ann", "it left", number=4)
+    assert remaining() == 2
+    season.now += timedelta(days=1)
+    assert remaining() == 3
+
+
+def test_forfeits_in_a_row_are_counted_until_something_changes() -> None:
+    season = made()
+    season.attempt("ann", 0.0, forfeit="it left")
+    season.attempt("ann", 0.0, forfeit="it left")
+    assert season.state.entrants["ann"].failed == 2
+    season.act(journal.IMAGE, "ann", "submitted", player="ann:2", id="sha256:" + 64 * "0")
+    assert season.state.entrants["ann"].failed == 0
+    season.attempt("ann", 0.0, forfeit="it left")
+    season.attempt("ann", 0.0)
+    assert season.state.entrants["ann"].failed == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"act": journal.START, "number": 2}, "has no attempt 2"),
+        ({"act": journal.REQUEST, "number": 3}, "queues attempt 3 of ann, who has 1"),
+        ({"act": journal.OVER, "number": 1}, "over of attempt 1 of ann, which was waiting"),
+        ({"act": journal.PAUSE, "subject": "dora"}, "there is no entrant dora"),
+        ({"act": "praise"}, "act 'praise', which there is not"),
+        ({"act": journal.CLOSE, "time": "noon"}, "at 'noon', which is no time"),
+        ({"act": journal.CHANGE, "subject": "secret", "value": "1"}, "cannot have secret = 1"),
+        ({"act": journal.CHANGE, "subject": "parallel", "value": "0"}, "cannot have parallel = 0"),
+    ],
+    ids=str,
+)
+def test_a_journal_that_cannot_be_is_refused(change: dict[str, object], why: str) -> None:
+    season = made()
+    ask(season, "ann")
+    wrong = {"kind": change.pop("act"), "subject": "ann", "reason": "", **change}
+    time = wrong.pop("time", None)
+    one = act(**wrong)  # type: ignore[arg-type]
+    if time is not None:
+        one = journal.Act(str(time), one.act, one.subject, "")
+    state = season.state
+    with pytest.raises(ExperimentError, match=why):
+        state.apply(one)
+
+
+def test_the_rules_can_be_changed_while_the_season_is_open() -> None:
+    season = made()
+    season.act(journal.CHANGE, "parallel", "in the file", value="2")
+    season.act(journal.CHANGE, "closes", "in the file", value='"2026-12-02T00:00:00Z"')
+    assert season.state.season.parallel == 2
+    assert season.course.season == season.state.season
+    assert season.board().closes == "2026-12-02T00:00:00Z"
+    with pytest.raises(ExperimentError, match="the season closed at"):
+        request(season.state, "ann", datetime(2026, 12, 2, tzinfo=UTC))

@@ -1,0 +1,426 @@
+"""A season's server, turn by turn: who plays, what that costs, and what goes wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiment_runner.cli.compete_serve import organise
+from experiment_runner.competition.organiser import open_competition
+from experiment_runner.competition.records.seal import broken
+from experiment_runner.competition.records.verify import verify
+from experiment_runner.competition.season.control import (
+    Attempt,
+    Enrol,
+    Key,
+    Organise,
+    Status,
+    Submit,
+    TryLater,
+    Withdraw,
+)
+from experiment_runner.competition.season.server import gate_of
+from experiment_runner.competition.settings import Gate
+from experiment_runner.store.lock import DirectoryTaken
+from glue.client.libzmq import new_pair
+from glue.errors import ConfigError, ExperimentError
+from glue.keys.certificates import encode
+from tests.experiment_runner.competition.season.inside import CODE, SECRET, Absent, Raising, Season
+
+
+@pytest.fixture
+def season(tmp_path: Path) -> Iterator[Season]:
+    made = Season(tmp_path)
+    with made.stack:
+        yield made
+
+
+def test_an_attempt_is_played_verified_and_over(season: Season) -> None:
+    season.enrol("alice")
+    asked = season.ask(Attempt("alice"))
+    assert asked | {"hub": "", "session": ""} == {
+        "state": "playing",
+        "attempt": 1,
+        "trial": 1,
+        "trials": 2,
+        "hub": "",
+        "session": "",
+    }
+    assert (asked["hub"], asked["session"]) == ("tcp://127.0.0.1:4097", "alice")
+    season.turns()
+    assert season.executor.played == ["alice/mines/0", "alice/mines/1"]
+    assert season.states("alice") == {1: "over"}
+    assert season.store.verdicts().keys() == {"alice/mines/0", "alice/mines/1"}
+    assert broken(season.store) == ""
+    reply = season.ask(Attempt("alice", 1))
+    scores = [verdict.score for verdict in season.store.verdicts().values()]
+    assert (reply["state"], reply["outcome"], reply["score"]) == ("over", "verified", sum(scores) / 2)
+    assert reply["low"] <= reply["score"] <= reply["high"]
+    assert (reply["place"], reply["of"], reply["left"]) == (1, 1, 2)
+    assert reply["returns"] == "2026-12-02T00:00:00+00:00"
+
+
+def test_every_attempt_has_the_same_levels_and_its_own_trials(season: Season) -> None:
+    season.enrol("alice", "bob")
+    for name in ("alice", "bob", "alice"):
+        season.attempt(name)
+    specs = {str(record.spec.id): record.spec for record in season.store.trials()}
+    assert [name for name in specs if name.startswith("alice")] == [f"alice/mines/{n}" for n in range(4)]
+    first = specs["alice/mines/0"]
+    for same in ("bob/mines/0", "alice/mines/2"):
+        assert (specs[same].environment, specs[same].seed) == (first.environment, first.seed)
+    assert specs["alice/mines/1"].seed != first.seed
+
+
+def test_a_quota_is_used_up_and_returns(season: Season) -> None:
+    season.enrol("alice")
+    for _ in range(3):
+        season.attempt("alice")
+    with pytest.raises(TryLater, match="has used its 3 attempts of today") as refused:
+        season.attempt("alice")
+    assert refused.value.retry_after == 15 * 3600
+    season.act("grant", "alice", number=1)
+    assert season.attempt("alice") == 4
+    with pytest.raises(TryLater):
+        season.attempt("alice")
+    season.days(1)
+    assert season.attempt("alice") == 5
+
+
+def test_a_waiting_attempt_whose_program_stops_asking_is_cancelled_and_costs_nothing(
+    season: Season,
+) -> None:
+    season.enrol("alice")
+    season.act("pause")
+    assert season.ask(Attempt("alice")) == {"state": "waiting", "attempt": 1, "place": 1, "why": "because"}
+    season.later(70, "alice")
+    assert season.states("alice") == {1: "waiting"}
+    season.later(70)
+    assert season.states("alice") == {1: "cancelled"}
+    season.act("resume")
+    for _ in range(3):
+        season.attempt("alice")
+
+
+def test_who_does_not_ask_is_let_play_by_nobody(season: Season) -> None:
+    season.enrol("alice", "bob")
+    season.act("pause")
+    season.ask(Attempt("alice"))
+    season.later(20)
+    season.ask(Attempt("bob"))
+    season.act("resume")
+    season.turns()
+    assert season.states("alice") == {1: "waiting"}
+    assert season.states("bob") == {1: "over"}
+
+
+def test_as_many_play_as_there_are_slots_each_at_its_port(season: Season) -> None:
+    names = ("alice", "bob", "carol")
+    season.enrol(*names)
+    season.executor.agents = dict.fromkeys(names)
+    for name in names:
+        season.ask(Attempt(name))
+    season.turns()
+    assert season.executor.gates == ["tcp://127.0.0.1:4097", "tcp://127.0.0.1:4098"]
+    assert season.ask(Attempt("carol"))["state"] == "waiting"
+    status = season.ask(Status())
+    assert (status["busy"], status["slots"], status["waiting"]) == (2, 2, 1)
+    assert [one["slot"] for one in status["attempts"][:2]] == [0, 1]
+
+
+def test_a_failure_of_ours_costs_no_attempt_and_is_tried_again(season: Season) -> None:
+    season.enrol("alice", "bob")
+    season.executor.agents["alice"] = "the disk is on fire"
+    season.attempt("alice")
+    assert season.states("alice") == {1: "ours", 2: "waiting"}
+    assert season.state.attempt("alice", 1).why == "the disk is on fire"
+    season.attempt("bob")
+    assert season.states("bob") == {1: "over"}
+    season.later(5, "alice")
+    assert season.states("alice") == {1: "ours", 2: "ours", 3: "waiting"}
+    season.later(5, "alice")  # it rests longer each time
+    assert season.states("alice")[3] == "waiting"
+    del season.executor.agents["alice"]
+    season.later(20, "alice")
+    assert season.states("alice")[3] == "over"
+    assert sum(season.state.entrants["alice"].used.values()) == len(season.states("alice")) - 2
+
+
+def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(season: Season) -> None:
+    season.enrol("alice")
+    season.executor.agents["alice"] = Raising()
+    for _ in range(2):
+        season.attempt("alice")
+    paused = season.state.entrants["alice"].paused
+    assert paused.startswith("it has forfeited 2 attempts in a row, the last in mines, trial 0: ")
+    with pytest.raises(ExperimentError, match="alice is paused: it has forfeited"):
+        season.ask(Attempt("alice"))
+    season.act("resume", "alice")
+    del season.executor.agents["alice"]
+    season.attempt("alice")
+    assert season.state.entrants["alice"].failed == 0
+
+
+def test_an_exclusion_takes_effect_at_once_and_can_be_taken_back(season: Season) -> None:
+    season.enrol("alice")
+    season.executor.agents["alice"] = None
+    season.attempt("alice")
+    assert set(season.executor.jobs) == {"alice/mines/0"}
+    assert season.ask(Key("alice"))["key"]
+    season.act("exclude", "alice")
+    assert not season.executor.jobs
+    assert season.states("alice") == {1: "ours"}
+    assert season.ask(Key("alice")) == season.ask(Key("nobody")) == {"key": None}
+    with pytest.raises(ExperimentError, match="alice is excluded: because"):
+        season.ask(Attempt("alice"))
+    season.act("readmit", "alice")
+    del season.executor.agents["alice"]
+    season.attempt("alice")
+    assert season.states("alice") == {1: "ours", 2: "over"}
+
+
+def test_an_attempt_is_run_again_at_no_cost_when_its_program_is_there(season: Season) -> None:
+    season.enrol("alice")
+    for _ in range(3):
+        season.attempt("alice")
+    season.later(20)
+    assert season.act("rerun", "alice", number=2)
+    season.later(1000)
+    assert season.states("alice")[4] == "waiting"
+    season.attempt("alice")
+    assert season.state.attempt("alice", 4).instead == 2
+    assert season.states("alice")[4] == "over"
+
+
+def test_a_restart_goes_on_where_it_was(season: Season) -> None:
+    season.enrol("alice", "bob")
+    season.executor.agents = {"alice": None, "bob": None}
+    for name in ("alice", "bob"):
+        season.attempt(name)
+    season.act("exclude", "alice")
+    season.executor.agents.clear()
+    season.restart()
+    season.turns()
+    assert season.executor.played[2:] == ["bob/mines/0", "bob/mines/1"]
+    assert season.executor.gates[1:] == ["tcp://127.0.0.1:4098"] * 3  # where its program looks for it
+    assert season.states("bob") == {1: "over"}
+
+
+def test_what_was_over_before_a_restart_stays_over(season: Season) -> None:
+    season.enrol("alice")
+    season.ask(Attempt("alice"))
+    while "alice/mines/0" not in season.store.outcomes():
+        season.server.turn()
+    digest = season.store.outcomes()["alice/mines/0"].digest
+    season.restart()
+    season.attempt("alice")
+    season.later(5)
+    assert season.executor.played.count("alice/mines/0") == 1
+    assert season.store.outcomes()["alice/mines/0"].digest == digest
+    assert season.states("alice") == {1: "over"}
+
+
+def test_one_that_does_not_come_back_after_a_restart_loses_nothing(season: Season) -> None:
+    season.enrol("alice")
+    season.executor.agents["alice"] = None
+    season.attempt("alice")
+    season.executor.agents["alice"] = Absent
+    season.restart()
+    season.turns()
+    assert season.states("alice") == {1: "ours", 2: "waiting"}
+    season.later(70)
+    assert season.states("alice") == {1: "ours", 2: "cancelled"}
+
+
+def test_nothing_is_played_without_end(season: Season) -> None:
+    season.enrol("alice")
+    season.executor.agents["alice"] = None
+    season.attempt("alice")
+    season.seconds += 10_000
+    season.turns()
+    assert season.states("alice")[1] == "ours"
+    assert "far too long" in season.state.attempt("alice", 1).why
+
+
+def test_a_clock_that_is_set_back_and_forward_stops_nothing(season: Season) -> None:
+    season.enrol("alice", "bob")
+    for days in (0, 1, -1, 1, -1):
+        season.days(days)
+        season.attempt("bob")
+    assert set(season.states("bob").values()) == {"over"}
+    season.attempt("alice")
+    assert season.states("alice") == {1: "over"}
+    with pytest.raises(ExperimentError, match="has used its 3 attempts"):
+        season.attempt("bob")
+
+
+def test_who_closes_the_season_lets_what_is_played_end(season: Season) -> None:
+    season.enrol("alice", "bob", "carol")
+    season.executor.agents["carol"] = None
+    season.attempt("carol")
+    season.act("pause")
+    season.ask(Attempt("alice"))
+    season.act("close")
+    assert season.states("alice") == {1: "cancelled"}
+    assert not season.server.over
+    with pytest.raises(ExperimentError, match="the season closed"):
+        season.ask(Attempt("bob"))
+    season.act("exclude", "carol")
+    assert season.server.over
+
+
+@pytest.mark.parametrize(
+    ("wanted", "why"),
+    [
+        ({"code": "water"}, "not the code"),
+        ({"name": "../bob"}, "cannot be a name"),
+        ({"name": "ALICE"}, "the name ALICE is taken"),
+        ({"key": "x" * 40}, "the owner of this key takes part already"),
+        ({"key": "short"}, "not a public key"),
+        ({"team": "red"}, "there are no teams"),
+    ],
+)
+def test_who_cannot_enrol_is_told_why(season: Season, wanted: dict[str, str], why: str) -> None:
+    alice = Enrol("alice", "x" * 40, CODE)
+    joined = season.ask(alice)
+    assert season.ask(alice) == joined  # a reply may have been lost
+    other = {"name": "bob", "key": encode(new_pair().public), "code": CODE}
+    with pytest.raises(ExperimentError, match=why):
+        season.ask(Enrol(**{**other, **wanted}))
+
+
+def test_an_owner_withdraws_what_is_over_or_waits(season: Season) -> None:
+    season.enrol("alice")
+    season.attempt("alice")
+    season.ask(Withdraw("alice", 1))
+    assert season.state.attempt("alice", 1).withdrawn
+    with pytest.raises(ExperimentError, match="does not count anyway"):
+        season.ask(Withdraw("alice", 1))
+    season.act("pause")
+    season.ask(Attempt("alice"))
+    season.ask(Withdraw("alice", 2))
+    assert season.states("alice")[2] == "cancelled"
+
+
+def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(tmp_path: Path) -> None:
+    made, alice = Season(tmp_path), Submit("alice", "sha256:" + 64 * "0", "alice:1")
+    with made.stack:
+        made.enrol("alice")
+        with pytest.raises(ExperimentError, match="no images are accepted"):
+            made.ask(alice)
+    made.text = made.text.replace("failures = 2", "failures = 2\nimages = true")
+    made.start()
+    with made.stack:
+        with pytest.raises(ExperimentError, match="not the id of an image"):
+            made.ask(Submit("alice", "alice:latest", "alice:1"))
+        made.ask(alice)
+        made.executor.agents["alice"] = None
+        assert "hub" not in made.ask(Attempt("alice"))
+        made.turns()
+        (job,) = made.executor.jobs.values()
+        assert (job.entrant.image, job.entrant.id) == ("alice:1", "sha256:" + 64 * "0")
+
+
+def test_entrants_of_the_file_play_by_themselves(tmp_path: Path) -> None:
+    walk = '[entrants.walk]\ncommand = ["true"]\n'
+    made = Season(tmp_path)
+    with made.stack:
+        (tmp_path / "late.toml").write_text(made.text + walk)
+        made.act("add", file=str(tmp_path / "late.toml"))
+        made.turns()
+        assert made.states("walk") == {1: "over"}
+        made.text += walk
+        made.restart()
+        with pytest.raises(ExperimentError, match="has no entrant that does not take part already"):
+            made.act("add", file=str(tmp_path / "late.toml"))
+
+
+def test_what_may_be_changed_in_the_file_takes_effect(season: Season) -> None:
+    season.enrol("alice")
+    season.text = season.text.replace("attempts_per_day = 3", "attempts_per_day = 1")
+    season.restart()
+    season.attempt("alice")
+    with pytest.raises(TryLater, match="has used its 1 attempts"):
+        season.attempt("alice")
+    season.stack.close()
+    season.text = season.text.replace("steps = 20", "steps = 30")
+    with pytest.raises(ExperimentError, match="episodes or steps"):
+        season.start()
+
+
+def test_two_servers_do_not_serve_one_directory(season: Season) -> None:
+    with pytest.raises(DirectoryTaken, match="is in use by process"):
+        open_competition(season.directory, season.text, season.competition, SECRET)
+
+
+def test_a_line_of_the_journal_that_a_kill_has_torn_is_written_again(season: Season) -> None:
+    season.enrol("alice")
+    season.stack.close()
+    journal = season.directory / "journal.jsonl"
+    whole = journal.read_bytes()
+    journal.write_bytes(whole + whole[:40])
+    season.start()
+    season.attempt("alice")
+    assert season.states("alice") == {1: "over"}
+    assert broken(season.store) == ""
+    season.stack.close()
+    journal.write_bytes(whole)
+    with pytest.raises(ExperimentError, match=r"journal\.jsonl"):
+        season.start()
+
+
+def test_all_that_was_played_is_verified_again(season: Season) -> None:
+    season.enrol("alice", "bob")
+    season.executor.agents["bob"] = Raising()
+    for name in ("alice", "bob"):
+        season.attempt(name)
+    before = season.store.verdicts()
+    assert verify(season.store, {"mines": 20}, season.said.append) == 0
+    assert season.store.verdicts() == before
+
+
+@pytest.mark.parametrize(
+    ("act", "subject", "more", "why"),
+    [
+        ("rerun", "alice", {"number": 7}, "alice has no attempt 7 that is over"),
+        ("rerun", "nobody", {}, "there is no entrant nobody"),
+        ("grant", "alice", {"number": 0}, "grant from 1 to 10,000 attempts"),
+        ("grant", "nobody", {"number": 1}, "there is no entrant nobody"),
+        ("exclude", "nobody", {}, "there is no entrant nobody"),
+        ("readmit", "alice", {}, "alice is not excluded"),
+        ("resume", "", {}, "the season is not paused"),
+        ("resume", "alice", {}, "alice is not paused"),
+        ("thaw", "", {}, "the board is not frozen"),
+        ("dance", "", {}, "there is no act 'dance'"),
+    ],
+)
+def test_an_act_that_cannot_be_is_refused(
+    season: Season, act: str, subject: str, more: dict[str, Any], why: str
+) -> None:
+    season.enrol("alice")
+    lines = len(season.course.acts)
+    with pytest.raises(ExperimentError, match=why):
+        season.ask(Organise(act, subject, why="because", **more))
+    assert len(season.course.acts) == lines
+
+
+def test_an_address_has_a_port_for_each_slot() -> None:
+    keys = Path("keys")
+    assert gate_of(Gate("tcp://[::]:4097", keys), 3) == Gate("tcp://[::]:4100", keys)
+    assert gate_of(Gate("ipc:///run/gate", keys), 1) == Gate("ipc:///run/gate-1", keys)
+    for bind in ("tcp://127.0.0.1:*", "tcp://127.0.0.1:65535"):
+        with pytest.raises(ConfigError, match="is no address for 2 attempts at once"):
+            gate_of(Gate(bind, keys), 1)
+
+
+def test_an_organiser_acts_on_a_season_that_nobody_serves(season: Season) -> None:
+    season.enrol("alice")
+    season.stack.close()
+    organise(season.directory, "grant", subject="alice", number=2, why="a mail of May")
+    with pytest.raises(ExperimentError, match="there is no entrant bob"):
+        organise(season.directory, "exclude", subject="bob", why="a mail of May")
+    season.start()
+    assert season.state.entrants["alice"].granted == 2

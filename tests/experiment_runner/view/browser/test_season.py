@@ -1,0 +1,164 @@
+"""The page of a season in a real browser, on a phone and on a projector, for all and for its organiser."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.competition.records.journal import ANNOUNCE, EVERYBODY, REQUEST
+from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed, needs_axe
+from tests.experiment_runner.view.pages import Page, shown_by
+from tests.experiment_runner.view.season.seasons import Held
+
+needed()
+
+SIZES = {"phone": (360, 780), "projector": (1920, 1080)}
+
+VIEWS = {
+    "board": "What the organiser did",
+    "board?projector=1": "Rules",
+    "entrant/otter": "Replay of attempt 1",
+    "replay/otter/1": "mines, trial 1",
+    "replay/otter/1/mines/1/2": "Link to this moment",
+    "entrant/nobody": "there is no such entrant",
+}
+"""Each view of the public, and a text that it shows once it is loaded."""
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Held]:
+    with Held(tmp_path_factory.mktemp("runs") / "spring") as held:
+        held.enrol("alice", "otter")
+        held.enrol("bob", "mole<script>")
+        held.play("alice", 1, (0, 1, 2))
+        held.play("bob", 1, (3, 2), forfeit="<b>the bank is empty</b>")
+        held.play("alice", 2, (1, 2))
+        held.act("exclude", held.enrol("carol", "vole").removeprefix("the token of "), "posed as another")
+        held.act(REQUEST, "alice", number=3)
+        yield held
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("published")
+
+
+@pytest.fixture(scope="module")
+def page(held: Held, published: Path) -> Iterator[Page]:
+    command = ("glue-compete", "page", str(held.directory), "--page", "127.0.0.1:0")
+    with shown_by(*command, "--publish", str(published), cwd=held.directory.parent) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def browser(page: Page) -> Iterator[Browser]:
+    """A browser without a token."""
+    with browsing(page) as browser:
+        browser.driver.delete_all_cookies()
+        yield browser
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("view", VIEWS)
+def test_every_view_fits_the_window(browser: Browser, view: str, size: str) -> None:
+    width, height = SIZES[size]
+    browser.set_size(width, height)
+    browser.go(view)
+    browser.shows(VIEWS[view])
+    assert browser.run("return document.documentElement.scrollWidth") <= width
+
+
+@needs_axe
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("view", VIEWS)
+def test_axe_finds_nothing(browser: Browser, view: str, size: str, is_dark: bool) -> None:
+    browser.set_size(*SIZES[size])
+    browser.set_dark(is_dark)
+    browser.go(view)
+    browser.shows(VIEWS[view])
+    assert browser.faults() == []
+
+
+def test_the_board_shows_places_queue_and_what_the_organiser_did(browser: Browser) -> None:
+    browser.set_size(1200, 900)
+    browser.go("board")
+    rows = browser.has_table("Places")
+    assert {row[1].split(" no ")[0] for row in rows[:2]} == {"otter", "mole<script>"}
+    assert [row[0] for row in rows] == ["1", "2", "-"]
+    assert browser.find("ol").text == "otter"
+    browser.shows("excluded: vole")
+    assert "alice" not in browser.text()
+
+
+def test_an_announcement_appears_by_itself(browser: Browser, held: Held) -> None:
+    browser.go("board")
+    browser.shows("Rules")
+    held.act(ANNOUNCE, EVERYBODY, "We <i>move</i> the server tonight.")
+    browser.shows("We <i>move</i> the server tonight.")
+
+
+def test_from_the_board_a_click_leads_to_an_entrant_its_attempt_and_its_picture(browser: Browser) -> None:
+    browser.go("board")
+    browser.find("a[href='#/entrant/otter']").click()
+    rows = browser.has_table("Attempts")
+    assert [row[:2] for row in rows[1:]] == [
+        ["2", rows[1][1]],
+        ["1", rows[2][1]],
+    ]
+    assert sum("counts" in row[1] for row in rows) == 1  # the best of them
+    browser.find("a[href='#/replay/otter/1']").click()
+    browser.find("a[href='#/replay/otter/1/mines/0/1']").click()
+    canvas = browser.find("canvas[role=img]:not([hidden])")
+    assert canvas.get_attribute("aria-label")
+    browser.find("button[aria-label='Last step']").click()
+    browser.wait(lambda: "step=" in browser.driver.current_url, "the step in the address")
+
+
+def test_the_organiser_sees_names_hidden_tasks_and_reasons(page: Page, browser: Browser) -> None:
+    browser.driver.get(page.url)
+    browser.shows("you see what the organiser sees")
+    rows = browser.has_table("Places")
+    assert {row[1].split()[0] for row in rows} >= {"alice", "bob"}
+    browser.go("entrant/bob")
+    browser.shows("<b>the bank is empty</b>")
+    browser.driver.delete_all_cookies()
+    browser.go("board")
+    browser.shows("mole<script>")
+
+
+def test_the_published_page_is_the_same_without_replays(browser: Browser, published: Path) -> None:
+    browser.go("board")
+    places = browser.has_table("Places")
+    assert [line for line in browser.errors() if "/entrants/nobody.json" not in line] == []
+    assert browser.foreign() == []
+    with _web_server(published) as address:
+        browser.driver.get(address)
+        assert browser.has_table("Places") == places
+        browser.find("a[href='#/entrant/otter']").click()
+        browser.has_table("Attempts")
+        assert "Replay of" not in browser.text()
+        assert browser.errors() == []
+    assert "alice" not in "".join(path.read_text("utf-8") for path in published.rglob("*.json"))
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *arguments: object) -> None:
+        pass
+
+
+@contextmanager
+def _web_server(folder: Path) -> Iterator[str]:
+    handler = functools.partial(_Quiet, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/"
+        finally:
+            server.shutdown()

@@ -1,0 +1,93 @@
+"""The published files of a season, and the command and the process that serve its page."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.competition.records.journal import ANNOUNCE, EVERYBODY
+from experiment_runner.view.launch import season_viewed
+from experiment_runner.view.season.publish import Publisher
+from experiment_runner.view.season.views import Views
+from tests.experiment_runner.view.season.seasons import Held
+from tests.forked import run
+from tests.system.runs import wait_until
+
+
+def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed(tmp_path: Path) -> None:
+    with Held(tmp_path / "spring") as held:
+        held.enrol("alice", "amber lynx")
+        publisher = Publisher(Views(held.directory, lambda: held.now), tmp_path / "public")
+        publisher.publish()
+        public = tmp_path / "public"
+        assert {path.name for path in public.iterdir()} == {
+            *("index.html", "static", "season.json", "feed.xml", "entrants"),
+        }
+        board = json.loads((public / "season.json").read_text())
+        assert (board["replays"], [one["name"] for one in board["entrants"]]) == (False, ["amber lynx"])
+        assert (public / "entrants" / "amber lynx.json").is_file()
+        assert "alice" not in "".join(path.read_text("utf-8") for path in public.glob("**/*.json"))
+        before = (public / "index.html").stat().st_mtime_ns
+        (tmp_path / "other").write_text("mine")
+        (public / "season.json").unlink()
+        (public / "season.json").symlink_to(tmp_path / "other")
+        held.act(ANNOUNCE, EVERYBODY, "a break")
+        Publisher(Views(held.directory, lambda: held.now), tmp_path / "public").publish()
+        assert json.loads((public / "season.json").read_text())["announcements"][0]["text"] == "a break"
+        assert (tmp_path / "other").read_text() == "mine"
+        publisher.publish()
+        assert (public / "index.html").stat().st_mtime_ns >= before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--page", "8097"), "--page is HOST:PORT"),
+        (("--page", "127.0.0.1:99999"), "--page is HOST:PORT"),
+        (("--page", "0.0.0.0:8097"), "add --insecure"),
+        (("--proxy", "lab.example"), "--proxy is an address"),
+        ((), "holds no competition"),
+    ],
+)
+def test_a_mistake_is_one_line(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
+    done = run("glue-compete", "page", str(tmp_path), *arguments, cwd=tmp_path)
+    assert done.returncode == 2 if arguments else 1
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_page_that_is_killed_is_started_again_and_ends_with_its_server(tmp_path: Path) -> None:
+    lines: list[str] = []
+    with Held(tmp_path / "spring") as held:
+        with season_viewed(held.directory, page="127.0.0.1:0", say=lines.append):
+            first = _page_of(held.directory)
+            os.kill(first, signal.SIGKILL)
+            wait_until(lambda: bool(lines), "the news of its end")
+            assert "killed by signal 9" in lines[0]
+            second = _page_of(held.directory)
+            assert second != first
+        assert not Path(f"/proc/{second}").exists()
+
+
+def _page_of(directory: Path) -> int:
+    """Wait for the page's process; return its id."""
+    found: list[int] = []
+
+    def look() -> bool:
+        for path in Path("/proc").glob("[0-9]*/cmdline"):
+            try:
+                words = path.read_bytes().split(b"\0")
+            except OSError:
+                continue
+            if b"page" in words and str(directory).encode() in words:
+                found.append(int(path.parent.name))
+                return True
+        return False
+
+    wait_until(look, "the page's process")
+    return found[-1]

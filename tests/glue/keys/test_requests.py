@@ -1,0 +1,80 @@
+"""Requests that are signed, those that are not, and those that come twice."""
+
+from __future__ import annotations
+
+import hashlib
+
+import pytest
+
+from glue.client.libzmq import new_pair
+from glue.keys.requests import DIGEST, ENTRANT, SECONDS, SIGNATURE, TIME, Once, Unsigned, check, signed
+
+PAIR = new_pair()
+DIGEST_OF_BODY = hashlib.sha256(b"body").hexdigest()
+NOW = 1_800_000_000.5
+
+
+def request() -> dict[str, str]:
+    return signed(PAIR, "alice", "POST", "/season/api/attempt", DIGEST_OF_BODY, NOW)
+
+
+@pytest.mark.parametrize("now", [NOW, NOW - SECONDS + 1, NOW + SECONDS - 1])
+def test_a_request_is_valid_for_some_minutes(now: float) -> None:
+    check(PAIR.public, "POST", "/season/api/attempt", request(), now)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {ENTRANT: "bob"},
+        {TIME: str(int(NOW) + 1)},
+        {DIGEST: hashlib.sha256(b"other").hexdigest()},
+        {SIGNATURE: "00" * 64},
+        {SIGNATURE: ""},
+    ],
+)
+def test_nothing_of_it_can_be_changed(change: dict[str, str]) -> None:
+    with pytest.raises(Unsigned, match="not signed with the key"):
+        check(PAIR.public, "POST", "/season/api/attempt", request() | change, NOW)
+
+
+@pytest.mark.parametrize(
+    ("method", "path"), [("PUT", "/season/api/attempt"), ("POST", "/season/api/withdraw")]
+)
+def test_it_is_for_one_purpose(method: str, path: str) -> None:
+    with pytest.raises(Unsigned):
+        check(PAIR.public, method, path, request(), NOW)
+
+
+def test_the_key_of_another_does_not_sign() -> None:
+    with pytest.raises(Unsigned):
+        check(new_pair().public, "POST", "/season/api/attempt", request(), NOW)
+
+
+@pytest.mark.parametrize("change", [{TIME: "x"}, {TIME: "9" * 5000}, {TIME: "²"}, {TIME: "-5"}])
+def test_a_time_that_is_none_is_no_time(change: dict[str, str]) -> None:
+    with pytest.raises(Unsigned, match="set your clock"):
+        check(PAIR.public, "POST", "/season/api/attempt", request() | change, NOW)
+
+
+@pytest.mark.parametrize("change", [{DIGEST: "0"}, {SIGNATURE: "abc"}, {SIGNATURE: "GG"}, {DIGEST: "é" * 64}])
+def test_headers_that_are_malformed_are_named(change: dict[str, str]) -> None:
+    with pytest.raises(Unsigned, match="Glue-Digest and Glue-Signature"):
+        check(PAIR.public, "POST", "/season/api/attempt", request() | change, NOW)
+
+
+def test_a_request_comes_once() -> None:
+    once, first = Once(), request()
+    once.remember(first, NOW)
+    once.remember(request(), NOW)
+    with pytest.raises(Unsigned, match="has come before"):
+        once.remember(first, NOW + 1)
+
+
+def test_old_requests_are_forgotten_when_they_could_not_come_again() -> None:
+    once = Once()
+    for i in range(100):
+        once.remember({SIGNATURE: str(i)}, NOW)
+    for i in range(60):
+        once.remember({SIGNATURE: f"later {i}"}, NOW + 2 * SECONDS + 1)
+    assert len(once._until) == 60

@@ -1,0 +1,175 @@
+"""docs/season.md and docs/teaching.md are carried out, from the file to the certificate."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from experiment_runner.cli.compete import compete
+from tests.pages import DOCS, RUNS, Block, blocks, run_block
+from tests.system.runs import wait_until
+
+BACKGROUND: Final = "runs in the background"
+UNIT: Final = DOCS / "examples" / "season" / "glue-season.service"
+COMPOSE: Final = DOCS.parent / "docker" / "season.yaml"
+SLOTS: Final = 4
+
+
+def free_ports() -> int:
+    """Return the first of `SLOTS` + 1 ports that are free, one after the other."""
+    for first in range(20_000, 60_000, 10):
+        with ExitStack() as stack, suppress(OSError):
+            for port in range(first, first + SLOTS + 1):
+                stack.enter_context(socket.create_server(("127.0.0.1", port)))
+            return first
+    raise AssertionError("no ports are free")
+
+
+def text_of(page: str, port: int) -> str:
+    """Return a page's text with other ports than the usual ones."""
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    return text.replace("4097", str(port)).replace("8097", str(port + SLOTS))
+
+
+@contextmanager
+def in_background(block: Block, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a block until the context ends; the season's page answers, if it has one."""
+    path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
+    with (folder / "log").open("ab") as log:
+        command = ["bash", "-c", f"exec {block.body}"]
+        process = subprocess.Popen(command, cwd=folder, env={"PATH": path}, stdout=log, stderr=log)
+    try:
+        if page := re.search(r"--page (\S+)", block.body):
+            wait_until(lambda: health(page[1]) == 200, "the page")
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) in (0, 130), (folder / "log").read_text()
+
+
+def health(address: str) -> int:
+    """Return the status of a page's health; 0 if it does not answer."""
+    try:
+        with urllib.request.urlopen(f"http://{address}/healthz", timeout=10) as response:
+            return int(response.status)
+    except OSError:
+        return 0
+
+
+def board_at(port: int) -> dict[str, Any]:
+    """Return the public board."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{port + SLOTS}/season.json", timeout=60) as response:
+        found: dict[str, Any] = json.load(response)
+        return found
+
+
+class Followed:
+    """A page whose blocks are run one after the other."""
+
+    def __init__(self, page: str, folder: Path) -> None:
+        self.folder = folder
+        self.port = free_ports()
+        self._blocks = iter(blocks(text_of(page, self.port)))
+
+    def until(self, note: str) -> Block:
+        """Write and run everything up to a block with this note, and return that block."""
+        for block in self._blocks:
+            if block.file:
+                (self.folder / block.file).write_text(block.body, encoding="utf-8")
+            elif block.note == note:
+                return block
+            else:
+                assert block.note == RUNS, block
+                self.run(block)
+        raise AssertionError(note)
+
+    def run(self, block: Block) -> str:
+        """Run a block; return what it printed."""
+        done = run_block(block, self.folder)
+        return done.stdout + done.stderr
+
+
+@pytest.mark.stage("docs")
+@pytest.mark.slow
+def test_a_season_goes_from_its_file_to_its_certificate(tmp_path: Path) -> None:
+    page = Followed("season", tmp_path)
+    serve = page.until(BACKGROUND)
+    with in_background(serve, tmp_path):
+        backup = page.until(f"{RUNS}: a backup")
+        board = board_at(page.port)
+        assert board["announcements"][0]["text"] == "The server moves on Friday."
+        assert any("misunderstanding" in act for act in board["acts"])
+    assert "verified" in page.run(backup)
+    with in_background(serve, tmp_path) as server:
+        final = page.until(f"{BACKGROUND}: final")
+        assert server.wait(120) == 0  # closed
+    with in_background(final, tmp_path) as run:
+        page.run(page.until(f"{RUNS}: final"))
+        assert run.wait(120) == 0
+    printed = page.run(page.until(f"{RUNS}: results"))
+    assert "signed with" in printed
+    certificate = (tmp_path / "board.html").read_text()
+    assert "alice" in certificate
+    assert "Every score was verified by replay" in certificate
+    assert (tmp_path / "public" / "index.html").is_file()
+
+
+@pytest.mark.stage("docs")
+@pytest.mark.slow
+def test_a_class_is_taught_and_graded(tmp_path: Path) -> None:
+    page = Followed("teaching", tmp_path)
+    with in_background(page.until(BACKGROUND), tmp_path):
+        grades = page.until(f"{RUNS}: grades")
+        (mia,) = board_at(page.port)["entrants"]
+        assert (mia["place"], mia["counts"]) == (1, {"verified": 1})
+        page.run(grades)
+    assert "mia" in (tmp_path / "grades.csv").read_text()
+
+
+@pytest.mark.parametrize("page", ["season", "teaching"])
+def test_commands_of_the_page_have_the_options_that_they_are_given(page: str) -> None:
+    texts = [block.body for block in blocks((DOCS / f"{page}.md").read_text("utf-8"), "sh")]
+    lines = [line for text in texts for line in text.splitlines() if line.startswith("glue-compete")]
+    assert len(lines) >= 4
+    for line in [*lines, unit()["ExecStart"], container()]:
+        _, command, *arguments = shlex.split(line.partition(" > ")[0], comments=True)
+        found = compete.commands[command]
+        found.make_context(command, arguments)
+
+
+def unit() -> dict[str, str]:
+    """Return the settings of the unit."""
+    text = UNIT.read_text("utf-8").replace("\\\n", " ")
+    return dict(line.split("=", 1) for line in text.splitlines() if re.match(r"\w+=", line))
+
+
+def container() -> str:
+    """Return the command of the container."""
+    found = re.search(r"command: >-\n((?: {6}.*\n)+)", COMPOSE.read_text("utf-8"))
+    assert found is not None
+    return "glue-compete serve " + re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", found[1])
+
+
+def test_the_unit_can_be_loaded_and_exposes_little(tmp_path: Path) -> None:
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("needs systemd-analyze")
+    text = UNIT.read_text("utf-8").replace("/opt/glue/bin/glue-compete", "/bin/true")
+    path = tmp_path / UNIT.name
+    path.write_text(re.sub("(?m)^User=.*", "DynamicUser=yes", text))
+    loaded = subprocess.run(["systemd-analyze", "verify", str(path)], capture_output=True, text=True)
+    assert (loaded.returncode, loaded.stderr) == (0, "")
+    exposed = ["systemd-analyze", "security", "--offline=true", "--threshold=20", str(path)]
+    assert subprocess.run(exposed, capture_output=True).returncode == 0  # of 100; 96 without hardening
