@@ -23,8 +23,8 @@ import pytest
 
 ROOT: Final = Path(__file__).parents[1]
 PARALLEL: Final = ("--numprocesses=3", "--dist=loadfile", "--no-loadscope-reorder")
-ORDER: Final = "GLUE_TESTS_ORDER"
-"""Environment variable with the seed of the order."""
+ORDER: Final = "ORDER_OF_TESTS"
+"""Environment variable with the seed of the order. Tests look for variables whose names begin with GLUE."""
 
 
 @pytest.hookimpl(trylast=True)

@@ -266,7 +266,7 @@ class Container(Running):
         self._stopped = True
 
         if self._group is not None:
-            self._group.remember()
+            self._group.read()
 
         def kill() -> None:
             with suppress(APIError):  # the container has ended
@@ -290,11 +290,14 @@ class Container(Running):
     @property
     def processor(self) -> float | None:
         """Seconds that it has used of all processors so far; None if this machine does not show it."""
-        return None if self._group is None else self._group.processor
+        if self._group is None:
+            return None
+        self._group.read()
+        return self._group.processor
 
     @property
     def peak(self) -> int | None:
-        """The most bytes of memory that it has used at once; None if this machine does not show it."""
+        """The most bytes of memory that it had used at once when `processor` was last asked for."""
         return None if self._group is None else self._group.peak
 
     def begin(self) -> None:

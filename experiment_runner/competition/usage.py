@@ -22,6 +22,10 @@ class ControlGroup:
     Args:
         container: id of the container, which runs.
         root: where control groups are mounted.
+
+    Attributes:
+        processor: seconds used of all processors; the last known if the container is gone; None if unknown.
+        peak: most bytes of memory used at once, likewise.
     """
 
     def __init__(self, container: str, root: Path = _ROOT) -> None:
@@ -30,30 +34,19 @@ class ControlGroup:
         self._processor = _file(processor, container, "cpu.stat" if second else "cpuacct.usage")
         self._memory = _file(memory, container, "memory.peak" if second else "memory.max_usage_in_bytes")
         self._second = second
-        self._used: float | None = None
-        self._peak: int | None = None
+        self.processor: float | None = None
+        self.peak: int | None = None
+        self.read()
 
-    def remember(self) -> None:
-        """Read everything, because the container is about to go."""
-        _ = self.processor, self.peak
-
-    @property
-    def processor(self) -> float | None:
-        """Seconds used of all processors; the last known if the container is gone, None if there are none."""
-        if self._processor is not None:
-            with suppress(OSError, ValueError):
+    def read(self) -> None:
+        """Bring the attributes up to date."""
+        with suppress(OSError, ValueError):
+            if self._processor is not None:
                 text = self._processor.read_text()
                 found = _USEC.search(text) if self._second else None
-                self._used = int(found[1]) / 1e6 if found else int(text) / 1e9
-        return self._used
-
-    @property
-    def peak(self) -> int | None:
-        """Most bytes of memory used at once; the last known if the container is gone, None if none is."""
-        if self._memory is not None:
-            with suppress(OSError, ValueError):
-                self._peak = int(self._memory.read_text())
-        return self._peak
+                self.processor = int(found[1]) / 1e6 if found else int(text) / 1e9
+            if self._memory is not None:
+                self.peak = int(self._memory.read_text())
 
 
 def _file(root: Path, container: str, name: str) -> Path | None:

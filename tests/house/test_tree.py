@@ -50,7 +50,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "starlette": ["experiment_runner/view/*", "experiment_runner/competition/season/entrance.py"],
     "prometheus_client": ["experiment_runner/view/season/metrics.py"],
     **dict.fromkeys(("anyio", "mcp", "mcp_types"), ("agents/language/server.py",)),
-    "http.client": ["agents/language/endpoint.py"],
+    "http.client": ["agents/language/endpoint.py", "glue/client/season.py"],
     "openenv": ["glue/openenv/*"],
     "pydantic": ["glue/openenv/serving.py"],
     "uvicorn": ["agents/language/server.py", "glue/openenv/serving.py", "experiment_runner/view/server.py"],

@@ -187,7 +187,7 @@ class _Entrance:
         entrant = await self._sender(request)
         season = (await run_in_threadpool(course_of, self._directory)).competition.season
         if season is None or not season.images:
-            raise Denied("this season takes no images: play with glue-agent --season", 403)
+            raise Denied("this season takes no images: play with glue-agent and season.toml", 403)
         size = request.headers.get("content-length", "")
         if not (size.isascii() and size.isdigit() and len(size) < _MOST_LETTERS):
             raise Denied("the request says no Content-Length", 411)

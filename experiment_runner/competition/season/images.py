@@ -102,7 +102,7 @@ def _check_config(config: Mapping[str, Any]) -> None:
     if (system, processor) != ("linux", wanted):
         raise UnfitImage(
             f"the image is for {one_line(f'{system}/{processor}', 40)}, and this machine is linux/{wanted}: "
-            f"docker build --platform linux/{wanted}"
+            f"build it for the platform linux/{wanted}"
         )
     check_image("uploaded", config["config"], 0)
 

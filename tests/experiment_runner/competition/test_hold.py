@@ -386,6 +386,7 @@ def test_check_plays_every_task_and_reports_to_every_owner(tmp_path: Path) -> No
     assert set(reports) == {"walk", "crash"}
     assert reports["walk"].count("episode 3: return") == 2
     assert "walk: played 3 episodes of each task" in done.stderr
+    assert reports["walk"].count("s of processors; ") == reports["walk"].count("time bank down to ") == 2
     assert "task mines" in reports["crash"]
     assert "status 7" in reports["crash"]
     assert "status 8" in reports["crash"]

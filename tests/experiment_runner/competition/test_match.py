@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from env_server.toys import MinesEnvironment
-from experiment_runner.competition.match import Forfeited, Piece
+from experiment_runner.competition.match import ASK, Forfeited, Piece, Used
 from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.starters import Launch
 from experiment_runner.competition.trials import agent_seed, draw, trials
@@ -104,6 +104,41 @@ def test_a_bank_that_is_drained_slowly_ends_the_task(tmp_path: Path) -> None:
     assert "bank of 5 s is empty" in forfeit(reports)
     assert clock.now == 11 * 1.5  # the bank holds ten half seconds, and the eleventh is one too many
     assert episodes(reports, tmp_path)[-1].ending is Ending.VOID
+
+
+class Asking(Thinker):
+    """Asks what time is left."""
+
+    def __init__(self, clock: Clock, seconds: float, answer: str) -> None:
+        super().__init__(clock, seconds)
+        self.answer = answer
+        self.heard: list[str] = []
+
+    def agent_message(self, message: str) -> str:
+        self.heard.append(message)
+        return self.answer
+
+
+def test_an_agent_that_asks_is_told_what_time_is_left(tmp_path: Path) -> None:
+    clock = Clock()
+    asking = Asking(clock, 1.25, "yes")
+    asking.path = (1,)
+    reports = reports_of(asking, tmp_path, clock, limits=LIMITS, steps=16, max_steps=6, env="skeleton")
+    assert reports[-1] == Ended(None)
+    first, *told = asking.heard
+    assert first == ASK
+    assert told[0] == f"time-left bank=5.000 total={LIMITS.total_seconds:.3f}"
+    left = [float(message.split("=")[1].split()[0]) for message in told]
+    assert left == [5.0, 3.75, 2.5, 1.25]
+    (used,) = (report for report in reports if isinstance(report, Used))
+    assert used == Used(None, None, 1.0)
+
+
+def test_one_that_does_not_ask_hears_nothing_more(tmp_path: Path) -> None:
+    clock = Clock()
+    asking = Asking(clock, 0.0, "I do not understand your message")
+    reports_of(asking, tmp_path, clock, limits=LIMITS)
+    assert asking.heard == [ASK]
 
 
 class LateThinker(Thinker):

@@ -24,15 +24,23 @@ class Clock:
 
 
 class Timed:
-    """A bank whose agent takes the given time for each answer."""
+    """A bank whose agent takes the given time for each answer, and of processors meanwhile."""
 
-    def __init__(self, limits: TimeLimits = LIMITS) -> None:
+    def __init__(self, limits: TimeLimits = LIMITS, used: float | None = None) -> None:
         self.clock = Clock()
-        self.bank = TimeBank(limits, self.clock)
+        self.used = used
+        self.reads = 0
+        self.bank = TimeBank(limits, self.clock, self.read)
 
-    def take(self, seconds: float, kind: Kind = Kind.AGENT_STEP) -> str | None:
+    def read(self) -> float | None:
+        self.reads += 1
+        return self.used
+
+    def take(self, seconds: float, kind: Kind = Kind.AGENT_STEP, used: float = 0.0) -> str | None:
         self.bank.called(kind)
         self.clock.now += seconds
+        if self.used is not None:
+            self.used += used
         return self.bank.answered()
 
 
@@ -51,6 +59,55 @@ def test_time_between_an_answer_and_the_next_call_is_free() -> None:
     timed.clock.now += 1e6
     assert timed.bank.overdue() is None
     assert timed.take(1.0) is None
+
+
+def test_several_processors_drain_what_they_use_together() -> None:
+    timed = Timed(used=100.0)
+    assert timed.take(0.5, used=2.0) is None  # 1 of 3 seconds
+    assert timed.bank.left == (2.0, 98.0)
+    assert "bank of 3 s" in str(timed.take(0.5, used=3.5))
+
+
+def test_what_is_used_between_answers_counts() -> None:
+    timed = Timed(used=0.0)
+    timed.take(0.1, used=0.1)
+    assert timed.used is not None
+    timed.used += 2.5  # while the environment steps, or another entrant plays
+    timed.take(0.1, used=0.1)
+    bank, total = timed.bank.left
+    assert bank == pytest.approx(3.0 - 1.6)
+    assert total == pytest.approx(100.0 - 2.7)
+
+
+def test_the_longer_of_both_times_counts_once() -> None:
+    timed = Timed(used=0.0)
+    timed.take(2.0, used=1.5)
+    assert timed.bank.left == (2.0, 98.0)
+    timed.take(1.5, used=2.0)
+    assert timed.bank.left == (1.0, 96.0)
+
+
+def test_what_is_used_to_initialise_does_not_count() -> None:
+    timed = Timed(used=0.0)
+    timed.take(4.0, Kind.AGENT_INIT, used=400.0)
+    assert timed.take(0.5, used=0.5) is None
+    assert timed.bank.left == (3.0, 99.5)
+
+
+def test_quick_answers_are_read_together() -> None:
+    timed = Timed(used=0.0)
+    for _ in range(1000):
+        timed.take(0.001, used=0.5)  # less than a second each: free
+    assert timed.bank.left[0] == 3.0
+    assert timed.reads <= 102
+
+
+def test_without_a_reading_the_clock_counts_alone() -> None:
+    timed = Timed(used=None)
+    timed.take(2.0)
+    timed.used = 50.0  # from now on it is known
+    timed.take(1.0)
+    assert timed.bank.left == (2.0, 97.0)
 
 
 def test_an_agent_that_never_answers_is_overdue_when_the_bank_is_empty() -> None:

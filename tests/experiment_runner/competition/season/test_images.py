@@ -164,7 +164,7 @@ def test_what_is_no_image_is_refused(files: dict[str, bytes | tarfile.TarInfo], 
 @pytest.mark.parametrize(
     ("settings", "why"),
     [
-        (config(architecture="s390x"), "docker build --platform"),
+        (config(architecture="s390x"), "for the platform"),
         (config(config={"Cmd": ["a"], "Volumes": {"/data": {}}}), "VOLUME"),
         (config(config={"Env": []}), "nothing to run"),
     ],

@@ -1,0 +1,125 @@
+"""The commands of an entrant, in front of a season whose replies a test decides."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
+pytest.importorskip("uvicorn", reason="needs the extra web")
+
+from experiment_runner.competition.season.control import Attempt, Enrol, Withdraw
+from glue.client.libzmq import new_pair
+from glue.client.season import read_membership
+from glue.errors import ExperimentError
+from glue.keys.certificates import encode
+from tests import forked
+from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
+
+SHORT = FILE.partition("[tasks.secret]")[0].replace("trials = 2", "trials = 1")
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Entrance]:
+    with entrance_at(tmp_path_factory.mktemp("season") / "run", SHORT) as entrance:
+        yield entrance
+
+
+@pytest.fixture
+def entrance(shared: Entrance, tmp_path: Path) -> Entrance:
+    """An entrance; the test's folder holds what alice has of the season."""
+    shared.replies.clear()
+    shared.asked.clear()
+    shared.membership(tmp_path).write(tmp_path / "season.toml")
+    return shared
+
+
+def run(folder: Path, *arguments: str, **settings: str) -> subprocess.CompletedProcess[str]:
+    return forked.run(*arguments, cwd=folder, env=settings or None, timeout=100)
+
+
+def test_who_joins_has_all_that_is_needed_in_a_file(entrance: Entrance, tmp_path: Path) -> None:
+    hub_key = encode(new_pair().public)
+    entrance.replies = [
+        ExperimentError("that is not the code"),
+        {"hub_key": hub_key, "token": "secret", "alias": "red fox"},
+    ]
+    join = ("glue-compete", "join", entrance.url, "--name", "bob", "--dir", "bob", "--code")
+    done = run(tmp_path, *join, "lemon")
+    assert (done.returncode, "that is not the code" in done.stderr) == (1, True)
+    done = run(tmp_path, *join, "lemonade")
+    assert done.returncode == 0, done.stderr
+    assert f"{entrance.url}/?token=secret" in done.stderr
+    assert "red fox" in done.stderr
+    first, second = entrance.asked
+    assert isinstance(first, Enrol)
+    assert isinstance(second, Enrol)
+    assert (second.name, second.key, second.code) == ("bob", first.key, "lemonade")
+    written = read_membership(tmp_path / "bob/season.toml")
+    assert (written.page, written.name, written.hub_key) == (entrance.url, "bob", hub_key)
+    assert written.key.stat().st_mode & 0o777 == 0o600
+    done = run(tmp_path, *join, "lemonade")
+    assert (done.returncode, "season.toml exists" in done.stderr) == (2, True)
+
+
+def test_an_attempt_is_played_and_its_result_is_the_output(entrance: Entrance, tmp_path: Path) -> None:
+    over = {
+        "state": "over",
+        "attempt": 2,
+        "outcome": "verified",
+        "score": 7.5,
+        "place": 1,
+        "of": 3,
+        "left": 4,
+    }
+    entrance.replies = [{"state": "verifying", "attempt": 2}, over]
+    done = run(tmp_path, "glue-agent", "random", "--season", "season.toml")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "attempt 2 is over; score 7.5; place 1 of 3; attempts left: 4\n"
+    assert entrance.asked == [Attempt("alice"), Attempt("alice", 2)]
+
+
+def test_no_attempt_is_played_where_none_is_left(entrance: Entrance, tmp_path: Path) -> None:
+    entrance.replies = [ExperimentError("all 5 attempts of today are used; more from 2026-12-02")]
+    done = run(tmp_path, "glue-agent", "--season", "season.toml", "true")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "Error: all 5 attempts of today are used" in done.stderr
+
+
+def test_a_program_that_is_missing_costs_no_attempt(entrance: Entrance, tmp_path: Path) -> None:
+    done = run(tmp_path, "glue-agent", "--season", "season.toml", "./jumper")
+    assert (done.returncode, "there is no program './jumper' here" in done.stderr) == (2, True)
+    assert not entrance.asked
+
+
+def test_an_attempt_is_withdrawn(entrance: Entrance, tmp_path: Path) -> None:
+    entrance.replies = [{}]
+    done = run(tmp_path, "glue-compete", "withdraw", "3")
+    assert done.returncode == 0, done.stderr
+    assert entrance.asked == [Withdraw("alice", 3)]
+
+
+def test_what_is_handed_in_has_to_be_an_image(entrance: Entrance, tmp_path: Path) -> None:
+    (tmp_path / "agent.tar").write_bytes(b"no image" * 100)
+    done = run(tmp_path, "glue-compete", "submit", "agent.tar")
+    assert (done.returncode, "not as docker save writes it" in done.stderr) == (1, True)
+    done = run(tmp_path, "glue-compete", "submit", "my-agent", PATH="/nowhere")
+    assert (done.returncode, "there is no file my-agent, and no docker here" in done.stderr) == (2, True)
+    assert not entrance.asked
+
+
+@pytest.mark.slow
+def test_an_agent_is_tried_at_home(entrance: Entrance, tmp_path: Path) -> None:
+    done = run(tmp_path, "glue-compete", "try", "random")
+    assert done.returncode == 0, done.stderr
+    assert "mines, trial 1 of 1: score -" in done.stderr
+    assert "time bank down to 60.00 of 60 s" in done.stderr
+    (tmp_path / "bad.py").write_text(
+        "class Bad:\n    def agent_start(self, observation): raise ValueError('no')\n"
+    )
+    done = run(tmp_path, "glue-compete", "try", "bad.py:Bad")
+    assert done.returncode == 1
+    assert not entrance.asked
