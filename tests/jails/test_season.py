@@ -1,73 +1,88 @@
-"""Images that entrants of a season upload, and what their containers use, in the real engine."""
+"""An image in a season: it plays as it was admitted, and what its engine does costs its owner nothing."""
 
 from __future__ import annotations
 
-import json
+import os
 import subprocess
-import sys
 from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from experiment_runner.competition.containers import Containers
-from experiment_runner.competition.season.images import MODULE
-from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starters import Launch
-from tests.jails.test_containers import launch
+from experiment_runner.competition.course import course_of
+from experiment_runner.competition.jail import LABEL
+from experiment_runner.competition.season.control import NoServer, ask
+from experiment_runner.competition.season.state import SeasonState
+from experiment_runner.competition.starters import name_of_run
+from experiment_runner.store.results import Results
+from glue.errors import ExperimentError
+from tests import forked
+from tests.forked import BIN
 from tests.system.runs import wait_until
 
-__all__ = ["launch"]
+TAG = "glue-test/season"
+
+FILE = """\
+seed_file = "secret.txt"
+[season]
+opens = {opens}
+closes = {closes}
+enrol = "closed"
+[limits]
+memory = "256m"
+[tasks.mines]
+env = "mines"
+steps = 20_000
+phase = "proving"
+[entrants.alice]
+image = "glue-test/season"
+"""
 
 
-def uploaded(path: Path, most: int = 2**30) -> dict[str, str]:
-    """Return what becomes of an upload."""
-    command = [sys.executable, "-P", "-m", MODULE, str(path), str(most), "glue-season/test"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
-    found: dict[str, str] = json.loads(done.stdout)
-    return found
-
-
-def test_an_upload_takes_over_no_name_and_keeps_its_id(
-    engine: Any, image: Callable[..., str], tmp_path: Path
+def test_an_image_plays_as_it_was_admitted_however_its_tag_moves_and_its_engine_ends_it(
+    engine: Any, build: Callable[[str], str], tmp_path: Path
 ) -> None:
-    hostile = image("RUN echo hostile > /who", "CMD id")
-    ours = image("RUN echo ours > /who", "CMD id")
-    hostile_id, our_id = engine.images.get(hostile).id, engine.images.get(ours).id
-    engine.images.get(hostile).tag(*ours.split(":"))  # for the moment of saving, it has our name
-    saved = tmp_path / "hostile.tar"
-    subprocess.run(["docker", "save", "--output", str(saved), ours], check=True, timeout=60)
-    engine.images.get(our_id).tag(*ours.split(":"))
-    engine.images.remove(hostile, force=True)
+    honest, crashes = (engine.images.get(build(name)) for name in ("honest", "crashes"))
+    honest.tag(TAG)
+    now = datetime.now(UTC)
+    opens, closes = ((now + timedelta(days=days)).isoformat(timespec="seconds") for days in (-1, 1))
+    (tmp_path / "spring.toml").write_text(FILE.format(opens=opens, closes=closes))
+    (tmp_path / "secret.txt").write_text("xyzzy")
+    run = tmp_path / "run"
+    serve = [str(BIN / "glue-compete"), "serve", "spring.toml", "--out", "run"]
+    server = subprocess.Popen(serve, cwd=tmp_path, env=os.environ)
+
+    def containers() -> list[Any]:
+        return list(engine.containers.list(filters={"label": f"{LABEL}={name_of_run(run)}"}))
+
+    def over() -> int:
+        with suppress(ExperimentError):
+            return len(SeasonState.of(course_of(run)).attempts("over"))
+        return 0
+
+    def act(kind: str, **more: object) -> bool:
+        with suppress(NoServer):
+            return bool(ask(run, {"do": "act", "act": kind, "why": "a test", **more})["ok"])
+        return False
+
     try:
-        assert uploaded(saved) == {"id": hostile_id}
-        assert engine.images.get(ours).id == our_id
-        tags = engine.images.get(hostile_id).tags
-        assert tags == [f"glue-season/test:{hostile_id.rpartition(':')[2][:12]}"]
+        wait_until(containers, "the container")
+        crashes.tag(TAG)
+        for container in containers():
+            container.kill()
+        wait_until(lambda: over() == 1, "the first attempt")
+        assert act("rerun", subject="alice")
+        wait_until(lambda: over() == 2, "the second attempt")
+        assert act("close")
+        assert server.wait(60) == 0
     finally:
-        engine.images.get(hostile_id).tag(*hostile.split(":"))
-        engine.images.remove(f"glue-season/test:{hostile_id.rpartition(':')[2][:12]}")
-
-
-def test_an_upload_that_would_be_too_large_never_reaches_the_engine(
-    engine: Any, image: Callable[..., str], tmp_path: Path
-) -> None:
-    saved = tmp_path / "image.tar"
-    subprocess.run(["docker", "save", "--output", str(saved), image("CMD id")], check=True, timeout=60)
-    before = len(engine.images.list(all=True))
-    assert "too large" in uploaded(saved, 2**20)["error"]
-    assert len(engine.images.list(all=True)) == before
-
-
-def test_a_container_is_charged_for_all_its_programs(image: Callable[..., str], launch: Launch) -> None:
-    program = "import os, time\nif os.fork(): time.sleep(1000)\nwhile True: pass"
-    command = json.dumps(["python3", "-c", program])
-    entrant = Entrant("alice", image=image("USER 1234:1234", f"CMD {command}"))
-    container = Containers().start(entrant, Limits(), launch)
-    try:
-        wait_until(lambda: (container.processor or 0.0) > 0.2, "its child to use a processor")
-    finally:
-        container.stop()
-    assert container.processor is not None
-    assert container.processor > 0.2
-    assert container.peak is not None
-    assert container.peak > 2**20
+        server.kill()
+        engine.images.remove(TAG, force=True)
+    verified = forked.run("glue-compete", "verify", "run", cwd=tmp_path)
+    assert "2 of 2 trials are verified" in verified.stderr
+    with Results.open(run) as results:
+        first, second = results.verdicts()["alice/mines/0"], results.verdicts()["alice/mines/1"]
+        assert first.score == second.score
+        assert [one.reason for one in results.outcomes().values()] == [None, None]
+        assert any("told to kill" in event.text for event in results.events())

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Iterator
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
 
+from experiment_runner.competition.course import course_of
+from experiment_runner.competition.season.control import ask
+from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.store.results import Results
+from glue.errors import ExperimentError
+from tests import forked
+from tests.forked import BIN
 from tests.pages import DOCS, follow
-from tests.system.runs import contents, run
+from tests.system.runs import contents, run, wait_until
 from tests.system.test_workers import FAULTY, MINES, SARSA
 
 pytest.importorskip("ray", reason="needs the extra `ray`; .ci/run installs it")
@@ -92,6 +101,35 @@ def test_search_comes_to_the_choice_of_workers(cluster: str, tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
     for part in ("search", "result"):
         assert contents(tmp_path / "ray" / part) == contents(tmp_path / "workers" / part)
+
+
+def test_a_season_lets_attempts_play_on_the_cluster(cluster: str, tmp_path: Path) -> None:
+    now = datetime.now(UTC)
+    opens, closes = ((now + timedelta(days=days)).isoformat(timespec="seconds") for days in (-1, 1))
+    agent = BIN / "glue-agent"
+    (tmp_path / "secret.txt").write_text("xyzzy")
+    (tmp_path / "spring.toml").write_text(
+        'seed_file = "secret.txt"\n'
+        f'[season]\nopens = {opens}\ncloses = {closes}\nenrol = "closed"\nparallel = 2\n'
+        '[tasks.mines]\nenv = "mines"\nepisodes = 3\nmax_steps = 50\nphase = "proving"\n'
+        f'[entrants.one]\ncommand = ["{agent}", "random"]\n[entrants.two]\ncommand = ["{agent}", "random"]\n'
+    )
+    serve = ("serve", "spring.toml", "--out", "run", "--engine", "ray", "--address", cluster)
+    server = subprocess.Popen([BIN / "glue-compete", *serve], cwd=tmp_path)
+
+    def played() -> bool:
+        with suppress(ExperimentError):
+            return len(SeasonState.of(course_of(tmp_path / "run")).attempts("over")) == 2
+        return False
+
+    try:
+        wait_until(played, "two attempts")
+        assert ask(tmp_path / "run", {"do": "act", "act": "close", "why": "it is over"})["ok"]
+        assert server.wait(60) == 0
+    finally:
+        server.kill()
+    verified = forked.run("glue-compete", "verify", "run", cwd=tmp_path)
+    assert "2 of 2 trials are verified" in verified.stderr
 
 
 def test_cluster_that_is_not_there_is_said_in_one_line(tmp_path: Path) -> None:

@@ -9,13 +9,9 @@ from datetime import UTC, datetime
 
 from experiment_runner.competition.season.control import Door
 from experiment_runner.competition.season.server import Server, gate_of
-from experiment_runner.competition.season.worker import MODULE, REPORTS, work
 from experiment_runner.competition.settings import Competition, Gate
 from experiment_runner.executors.dispatcher import Executor
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.ray_cluster import RayExecutor
-from experiment_runner.executors.workers import LocalExecutor
-from experiment_runner.plan.limits import Backend
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError
 from glue.keys.allowed import HUB
@@ -44,19 +40,6 @@ def check_gate(competition: Competition, gate: Gate | None) -> None:
             f"glue-keys new {HUB}), and an address to listen on",
             settings=("keys", "bind"),
         )
-
-
-def executor_of(competition: Competition, backend: Backend, address: str | None) -> Executor:
-    """Return the executor of a season's matches and replays: twice the slots, so that no replay waits long.
-
-    Raises:
-        ConfigError: Ray is not installed.
-    """
-    assert competition.season is not None
-    size = 2 * competition.season.parallel
-    if backend is Backend.RAY:
-        return RayExecutor(address, size, work, REPORTS)
-    return LocalExecutor(size, MODULE, REPORTS, warm=[task.env for task in competition.proving])
 
 
 def serve(

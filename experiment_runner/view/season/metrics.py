@@ -6,15 +6,15 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from experiment_runner.view.season.views import View
+from experiment_runner.competition.season.state import SeasonState
 from glue.errors import ConfigError
 
 
-def metrics_of(view: View, status: Mapping[str, Any] | None) -> tuple[bytes, str]:
+def metrics_of(state: SeasonState, status: Mapping[str, Any] | None) -> tuple[bytes, str]:
     """Return the numbers in Prometheus's text format, and its media type.
 
     Args:
-        view: what the public may see.
+        state: of the season.
         status: the server's, see `experiment_runner.competition.season.control`; None if it does not run.
 
     Raises:
@@ -31,12 +31,12 @@ def metrics_of(view: View, status: Mapping[str, Any] | None) -> tuple[bytes, str
         prometheus.Gauge(f"glue_season_{name}", text, registry=registry).set(value)
 
     states = Counter[str]()
-    for entrant in view.state.entrants.values():
+    for entrant in state.entrants.values():
         states.update(one.state for one in entrant.attempts.values())
-    gauge("entrants", "Entrants that have enrolled.", len(view.state.entrants))
+    gauge("entrants", "Entrants that have enrolled.", len(state.entrants))
     attempts = prometheus.Gauge("glue_season_attempts", "Attempts by state.", ["state"], registry=registry)
-    for state, number in states.items():
-        attempts.labels(state).set(number)
+    for name, number in states.items():
+        attempts.labels(name).set(number)
     gauge("up", "Whether the server answers.", status is not None)
     if status is not None:
         gauge("slots", "Attempts that can be played at once.", status["slots"])

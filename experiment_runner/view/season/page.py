@@ -7,6 +7,7 @@ is as hard to guess, and still works when the page has been started again.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Awaitable, Callable, Mapping
 from hashlib import sha256
 from pathlib import Path
@@ -21,7 +22,7 @@ from experiment_runner.competition.season.board import PUBLIC
 from experiment_runner.competition.season.control import NoServer, Reply, ask
 from experiment_runner.view.app import application, file_routes, static_file
 from experiment_runner.view.guard import READING, Address, Guard, cookie_of
-from experiment_runner.view.reader import Reader, json_response
+from experiment_runner.view.reader import Cache, Reader, json_response
 from experiment_runner.view.season.metrics import metrics_of
 from experiment_runner.view.season.replays import Replays
 from experiment_runner.view.season.views import Views, digest_of
@@ -80,8 +81,8 @@ def season_page(views: Views, address: Address, entrance: Callable[[Path], list[
     Raises:
         ExperimentError: the season cannot be read.
     """
-    directory, viewers = views.directory, views.viewers()
-    read, server, replays = Reader("views"), Reader("server"), Replays()
+    directory, viewers = views.directory, dict(views.viewers())
+    read, server, replays, answers = Reader("views"), Reader("server"), Replays(), Cache()
 
     async def changing(request: Request, kind: str, what: Callable[[str], bytes]) -> Response:
         viewer: str = request.scope[_VIEWER]
@@ -104,7 +105,7 @@ def season_page(views: Views, address: Address, entrance: Callable[[Path], list[
         return await changing(request, "application/json", lambda viewer: views.entrant(viewer, name))
 
     async def feed(request: Request) -> Response:
-        return await changing(request, "application/atom+xml", lambda _: views.feed(PUBLIC))
+        return await changing(request, "application/atom+xml", lambda _: views.feed())
 
     async def listing(request: Request) -> Response:
         viewer, (name, attempt) = request.scope[_VIEWER], request.path_params.values()
@@ -117,6 +118,11 @@ def season_page(views: Views, address: Address, entrance: Callable[[Path], list[
         return _unchanged_or(request, content, "application/octet-stream")
 
     def status() -> Reply | None:
+        """Return the status of the server, which is asked once a second at most."""
+        found: Reply | None = answers.get("status", int(time.monotonic()), asked)
+        return found
+
+    def asked() -> Reply | None:
         try:
             return ask(directory, {"do": "status"}, _ASK_SECONDS)
         except NoServer:
@@ -129,7 +135,7 @@ def season_page(views: Views, address: Address, entrance: Callable[[Path], list[
 
     async def metrics(request: Request) -> Response:
         found = await server(status)
-        content, kind = await read(lambda: metrics_of(views.view(PUBLIC), found))
+        content, kind = await read(lambda: metrics_of(views.state, found))
         return Response(content, media_type=kind)
 
     index: Callable[[Request], Awaitable[Response]] = static_file("season.html")

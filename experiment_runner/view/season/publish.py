@@ -74,7 +74,7 @@ class Publisher:
         board = json.loads(self._views.board(PUBLIC))
         # No server is there to play records again.
         yield "season.json", json.dumps(board | {"replays": False}).encode()
-        yield "feed.xml", self._views.feed(PUBLIC)
+        yield "feed.xml", self._views.feed()
         for entrant in board["entrants"]:
             yield f"entrants/{entrant['name']}.json", self._views.entrant(PUBLIC, entrant["name"])
 

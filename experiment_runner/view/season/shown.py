@@ -21,7 +21,13 @@ _MOST_LINES: Final = 7
 _TICK: Final = re.compile(r">-(\d+)(\.\d+)?<")
 """A number at the axis of places: there is no place between two others."""
 
-_SECONDS_OF_DAY: Final = 86_400
+_UNITS: Final = (("days", 86_400), ("hours", 3600), ("minutes", 60))
+_LEAST_UNITS: Final = 2
+"""Of the time that is drawn: the largest unit of which it has so many is that of the axis."""
+
+_SIZES: Final = {"narrow": (480, 300), "wide": (1400, 320)}
+"""Width and height of a drawing for a phone, and for other windows."""
+
 _BYTES_OF_GIB: Final = 2**30
 
 
@@ -85,22 +91,30 @@ def row_of(board: SeasonBoard, shown: str) -> EntrantRow:
 
 
 def over_time(board: SeasonBoard, rows: Sequence[EntrantRow]) -> dict[str, Any] | None:
-    """Return the places of entrants over time as a drawing, the first place on top; None without any."""
+    """Return the places of entrants over time as a narrow and a wide drawing, the first place on top; None
+    without any."""
     rows = [one for one in rows if any(place is not None for place in one.places)]
     if not rows or len(board.times) < 2:
         return None
-    moments = [datetime.fromisoformat(time).timestamp() / _SECONDS_OF_DAY for time in board.times]
-    days = [moment - moments[0] for moment in moments]
+    moments = [datetime.fromisoformat(time).timestamp() for time in board.times]
+    unit, seconds = next(
+        one for one in _UNITS if moments[-1] - moments[0] >= one[1] * _LEAST_UNITS or one is _UNITS[-1]
+    )
+    at = [(moment - moments[0]) / seconds for moment in moments]
     lines = [
         # Places count down, and the axis up: its numbers are negative, and drawn as they are meant.
-        svg.Line(days, [None if place is None else -float(place) for place in one.places])
+        svg.Line(at, [None if place is None else -float(place) for place in one.places])
         for one in rows
     ]
-    drawn = svg.draw(lines, ("days", "place"))["svg"]
     return {
-        "svg": _TICK.sub(lambda tick: f">{tick[1]}<" if not tick[2] else "><", drawn),
+        **{name: _drawn(lines, unit, size) for name, size in _SIZES.items()},
         "legend": [{"name": one.shown, "sample": svg.sample(number)} for number, one in enumerate(rows)],
     }
+
+
+def _drawn(lines: Sequence[svg.Line], unit: str, size: tuple[int, int]) -> str:
+    drawn: str = svg.draw(lines, (unit, "place"), size)["svg"]
+    return _TICK.sub(lambda tick: "><" if tick[2] else f">{tick[1]}<", drawn)
 
 
 def rules_of(competition: Competition, season: Season) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
@@ -12,10 +12,9 @@ from typing import Final, NamedTuple
 
 from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.records.record import record_path
-from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards, SeasonBoard
+from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import DATABASE_FILES, reported
 from experiment_runner.store.layout import JOURNAL_FILE, TOKEN_FILE
 from experiment_runner.store.results import Results
@@ -42,17 +41,14 @@ def utc_now() -> datetime:
     return datetime.now(UTC)
 
 
-class View(NamedTuple):
-    """A board, for one viewer, and the season that it is of."""
-
-    board: SeasonBoard
-    state: SeasonState
-    course: Course
-
-
 class _Season(NamedTuple):
-    """A season as it was read."""
+    """A season as it was read.
 
+    signs       differ when it has changed
+    boards, state, course
+    """
+
+    signs: object
     boards: Boards
     state: SeasonState
     course: Course
@@ -69,31 +65,28 @@ class Views:
     def __init__(self, directory: Path, clock: Callable[[], datetime]) -> None:
         self.directory = directory
         self._clock = clock
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._cache = Cache(_MOST_ANSWERS, _REST)
+        self._known: tuple[object, dict[str, str]] = object(), {}
 
-    def view(self, viewer: str) -> View:
-        """Return what a viewer may see.
+    @property
+    def state(self) -> SeasonState:
+        """The state of the season.
 
         Raises:
             ExperimentError: the season cannot be read.
         """
-        with self._lock:
-            return self._view(viewer)
-
-    def _view(self, viewer: str) -> View:
-        season: _Season = self._cache.get("season", self._signs(), self._read)
-        return View(season.boards.seen_by(viewer), season.state, season.course)
+        return self._season().state
 
     def board(self, viewer: str) -> bytes:
         """Return the board as JSON."""
 
-        def compute() -> bytes:
-            board, state, course = self._view(viewer)
-            rules = rules_of(course.competition, state.season)
-            return as_json(board_as_json(board, state, rules, viewer, self._clock())).encode()
+        def compute(season: _Season) -> object:
+            rules = rules_of(season.course.competition, season.state.season)
+            board = season.boards.seen_by(viewer)
+            return board_as_json(board, season.state, rules, viewer, self._clock())
 
-        return self._answer("board", viewer, compute)
+        return self._json(("board", viewer), compute)
 
     def entrant(self, viewer: str, shown: str) -> bytes:
         """Return an entrant with its attempts as JSON.
@@ -101,15 +94,14 @@ class Views:
         Raises:
             KeyError: this viewer knows no entrant of that name.
         """
-        return self._answer(
-            f"entrant {shown}",
-            viewer,
-            lambda: as_json(entrant_as_json(self._view(viewer).board, shown)).encode(),
+        return self._json(
+            ("entrant", viewer, shown), lambda season: entrant_as_json(season.boards.seen_by(viewer), shown)
         )
 
-    def feed(self, viewer: str) -> bytes:
+    def feed(self) -> bytes:
         """Return what happens in the season as an Atom feed."""
-        return self._answer("feed", viewer, lambda: feed_of(self._view(viewer).board))
+        with self._lock:
+            return feed_of(self._season().boards.seen_by(PUBLIC))
 
     def viewers(self) -> dict[str, str]:
         """Return who may see more than others, by the digest of their token: an entrant, or `ORGANISER`.
@@ -117,9 +109,14 @@ class Views:
         Raises:
             ExperimentError: the season cannot be read.
         """
-        entrants = SeasonState.of(course_of(self.directory)).entrants
-        found = {one.act.token: name for name, one in entrants.items() if one.act.token}
-        return found | {digest_of(organisers_token(self.directory)): ORGANISER}
+        with self._lock:
+            signs = version(self.directory / JOURNAL_FILE)
+            if self._known[0] != signs:
+                entrants = SeasonState.of(course_of(self.directory)).entrants
+                found = {one.act.token: name for name, one in entrants.items() if one.act.token}
+                organiser = digest_of(organisers_token(self.directory))
+                self._known = signs, found | {organiser: ORGANISER}
+            return self._known[1]
 
     def replays(self, viewer: str, shown: str, attempt: int) -> bytes:
         """Return the episodes of a verified attempt as JSON, trial by trial.
@@ -127,18 +124,13 @@ class Views:
         Raises:
             KeyError: there is no such attempt, or this viewer may not see it.
         """
-        found = []
-        for trial in self._trials(viewer, shown, attempt):
-            _, task, number = trial.parts
-            trials = self.view(viewer).course.competition.trials
-            found.append(
-                {
-                    "task": task,
-                    "trial": number % trials,
-                    **episodes_in(record_path(self.directory, trial)),
-                }
-            )
-        return as_json(found).encode()
+        trials = self._trials(viewer, shown, attempt).items()
+        return as_json(
+            [
+                {"task": task, "trial": number, **episodes_in(record_path(self.directory, trial))}
+                for (task, number), trial in trials
+            ]
+        ).encode()
 
     def replay(self, viewer: str, shown: str, attempt: int, task: str, trial: int, episode: int) -> bytes:
         """Return an episode of a verified attempt; see `replayed`.
@@ -147,44 +139,48 @@ class Views:
             KeyError: there is no such trial, or this viewer may not see it.
             HTTPException: there is no such episode.
         """
-        trials = self.view(viewer).course.competition.trials
-        for found in self._trials(viewer, shown, attempt):
-            if found.parts[1:] == (task, (attempt - 1) * trials + trial):
-                name = f"{shown}, attempt {attempt}: {task}, trial {trial}"
-                return replayed(name, self._spec(found), record_path(self.directory, found), episode)
-        raise KeyError(task)
+        found = self._trials(viewer, shown, attempt)[task, trial]
+        with Results.open(self.directory) as results:
+            spec = next(one.spec for one in results.trials() if one.spec.id == found)
+        name = f"{shown}, attempt {attempt}: {task}, trial {trial}"
+        return replayed(name, spec, record_path(self.directory, found), episode)
 
-    def _trials(self, viewer: str, shown: str, attempt: int) -> list[TrialId]:
-        """Return the trials of a verified attempt whose tasks this viewer may know."""
-        board, state, course = self.view(viewer)
+    def _trials(self, viewer: str, shown: str, attempt: int) -> dict[tuple[str, int], TrialId]:
+        """Return the trials of a verified attempt, of tasks that this viewer may know, by task and number."""
+        with self._lock:
+            season = self._season()
+            board = season.boards.seen_by(viewer)
         row = row_of(board, shown)
         if not any(one.number == attempt and one.state == "verified" for one in row.attempts):
             raise KeyError(shown)
-        name = row.name or next(
-            (name for name, one in state.entrants.items() if one.act.alias == shown), shown
-        )
-        trials = course.competition.trials
-        return [
-            TrialId.of(name, task, number)
+        entrants = season.state.entrants.items()
+        name = row.name or next((name for name, one in entrants if one.act.alias == shown), shown)
+        count = season.course.competition.trials
+        return {
+            (task, number): TrialId.of(name, task, (attempt - 1) * count + number)
             for task in board.tasks
-            for number in range((attempt - 1) * trials, attempt * trials)
-        ]
+            for number in range(count)
+        }
 
-    def _spec(self, trial: TrialId) -> TrialSpec:
-        with Results.open(self.directory) as results:
-            return next(one.spec for one in results.trials() if one.spec.id == trial)
-
-    def _answer(self, what: str, viewer: str, compute: Callable[[], bytes]) -> bytes:
+    def _json(self, question: Hashable, compute: Callable[[_Season], object]) -> bytes:
         with self._lock:
-            found: bytes = self._cache.get((what, viewer), self._signs(), compute)
+            season = self._season()
+            # Not the signs of this moment: the season may be one of a moment ago.
+            found: bytes = self._cache.get(question, season.signs, lambda: as_json(compute(season)).encode())
             return found
 
-    def _read(self) -> _Season:
+    def _season(self) -> _Season:
+        with self._lock:
+            signs = self._signs()
+            found: _Season = self._cache.get("season", signs, lambda: self._read(signs))
+            return found
+
+    def _read(self, signs: object) -> _Season:
         course = course_of(self.directory)
         with Results.open(self.directory) as results:
             boards = Boards(course, results.outcomes(), results.verdicts(), self._clock())
         boards.seen_by(PUBLIC)  # counts as part of the time that it takes
-        return _Season(boards, SeasonState.of(course), course)
+        return _Season(signs, boards, SeasonState.of(course), course)
 
     def _signs(self) -> object:
         names = (*DATABASE_FILES[:2], JOURNAL_FILE)

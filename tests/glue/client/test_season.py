@@ -50,6 +50,7 @@ class Script:
         self.answers: list[tuple[int, Any]] = []
         self.asked: list[tuple[str, Any]] = []
         self.signatures: list[str | None] = []
+        self.retry_after = "7"
         self.url = ""
 
 
@@ -65,7 +66,7 @@ def page() -> Iterator[Script]:
             status, body = script.answers.pop(0) if len(script.answers) > 1 else script.answers[0]
             data = body if isinstance(body, bytes) else json.dumps(body).encode()
             self.send_response(status)
-            self.send_header("Retry-After", "7")
+            self.send_header("Retry-After", script.retry_after)
             self.end_headers()
             self.wfile.write(data)
 
@@ -151,11 +152,34 @@ def test_a_page_that_is_restarted_is_asked_again(script: Script, season: tuple[S
     assert season[1] == [7.0, 7.0]
 
 
+def test_another_attempt_replaces_one_that_failed_for_a_reason_of_the_seasons(
+    script: Script, season: tuple[Season, list[float]]
+) -> None:
+    ours = {"state": "over", "attempt": 3, "outcome": "ours", "why": "a disk was full"}
+    script.answers = [(200, {"state": "waiting", "attempt": 3, "why": "a new disk"}), (200, ours)]
+    script.answers += [(200, {"state": "verifying", "attempt": 4}), (200, {**OVER, "attempt": 4})]
+    said: list[str] = []
+    assert season[0].play(lambda target, on: None, said.append)["attempt"] == 4
+    assert said[0] == "attempt 3 waits, and nothing is played now: a new disk"
+    assert said[1].startswith("attempt 3 is over; ours (a disk was full); it does not count")
+    assert [body["attempt"] for _, body in script.asked] == [0, 3, 0, 4]
+
+
 def test_a_page_that_stays_away_is_given_up(script: Script, season: tuple[Season, list[float]]) -> None:
     script.answers = [(503, {"error": "not running"})]
     with pytest.raises(SeasonBusy, match="not running"):
         season[0].play(lambda target, on: None, lambda line: None)
-    assert 600 < sum(season[1]) < 620
+    assert 590 < sum(season[1]) <= 600
+
+
+def test_who_has_no_attempt_left_today_is_not_kept_waiting(tmp_path: Path) -> None:
+    with page() as script:
+        script.retry_after = "40000"
+        script.answers = [(429, {"error": "no attempts are left: 2 of 2 used, the next on Tuesday"})]
+        _, secret = write_pair(tmp_path, "alice", new_pair())
+        season = Season(Membership(script.url, "alice", secret, HUB_KEY, "t"))
+        with pytest.raises(SeasonBusy, match="the next on Tuesday"):
+            season.play(lambda target, on: None, lambda line: None)
 
 
 @pytest.mark.parametrize(

@@ -20,5 +20,5 @@ export const counts = (numbers) =>
 
 /** Return a drawing with its legend, or null without one. */
 export const figure = (found, label) => found && h("figure", { class: "card", role: "img", "aria-label": label },
-  h("figcaption", {}, label), drawing(found.svg),
+  h("figcaption", {}, label), ...["narrow", "wide"].map((size) => h("div", { class: size }, drawing(found[size]))),
   h("ul", { class: "legend" }, ...found.legend.map(({ name, sample }) => h("li", {}, drawing(sample), " ", name))));

@@ -122,9 +122,17 @@ def test_without_a_task_that_may_be_seen_nothing_can_be_replayed() -> None:
 
 
 def test_the_first_place_is_on_top_of_the_drawing_and_has_no_sign() -> None:
-    drawn = entrant_as_json(BOARD, "otter")["over_time"]["svg"]
-    assert not re.search(r">-\d", drawn)
+    drawn = entrant_as_json(BOARD, "otter")["over_time"]
+    for size in ("narrow", "wide"):
+        assert not re.search(r">-\d", drawn[size])
+        assert ">days<" in drawn[size]
     assert entrant_as_json(BOARD, "mole")["over_time"] is None
+
+
+@pytest.mark.parametrize(("span", "unit"), [("00:02:00", "minutes"), ("09:00:00", "hours")])
+def test_the_drawing_of_a_young_season_has_a_unit_that_fits(span: str, unit: str) -> None:
+    young = replace(BOARD, times=("2026-11-01T00:00:00Z", "2026-11-01T00:01:00Z", f"2026-11-01T{span}Z"))
+    assert f">{unit}<" in entrant_as_json(young, "otter")["over_time"]["wide"]
 
 
 def test_rules_say_what_may_be_asked_for_and_how_limits_answer() -> None:
