@@ -206,8 +206,8 @@ def board(directory: Path, form: str, season: bool, reveal: bool, signed_by: str
     from experiment_runner.competition.course import course_of
     from experiment_runner.competition.records.seal import check_seal, check_signature
     from experiment_runner.competition.season.board import ORGANISER, season_board
-    from experiment_runner.competition.season.forms import as_csv as season_csv
     from experiment_runner.competition.season.forms import as_text as season_text
+    from experiment_runner.competition.season.forms import places_of, scores_of
     from experiment_runner.report.tables import terminal_width
     from experiment_runner.store.results import Results
     from experiment_runner.view.export import as_page
@@ -221,7 +221,10 @@ def board(directory: Path, form: str, season: bool, reveal: bool, signed_by: str
                 raise ConfigError(f"a season has a page: glue-compete page {directory} --publish FOLDER")
             check_seal(results)
             shown = season_board(results, course, datetime.now(UTC), ORGANISER)
-            forms = {"text": lambda: season_text(shown, width), "csv": lambda: season_csv(shown)}
+            forms = {
+                "text": lambda: season_text(shown, width),
+                "csv": lambda: places_of(shown.competition, scores_of(shown)),
+            }
             text = forms.get(form, lambda: as_json(shown))()
         else:
             found = standings(results, course, reveal)

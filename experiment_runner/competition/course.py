@@ -8,21 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.competition.records.journal import (
-    ADD,
-    CHANGE,
-    CLOSE,
-    ENROL,
-    ENTER,
-    EXCLUDE,
-    IMAGE,
-    READMIT,
-    RERUN,
-    START,
-    Act,
-    act,
-    acts_of,
-)
+from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.journal import Act, act, acts_of
 from experiment_runner.competition.records.seal import check_seal, record_acts, seal
 from experiment_runner.competition.settings import (
     Competition,
@@ -60,12 +47,13 @@ class Course:
     def entrants(self) -> Mapping[str, Act]:
         """The entrants by name, with the act that admitted each, which has its present player and id."""
         found = {
-            one.name: Act("", ENTER, one.name, "", player=one.player) for one in self.competition.entrants
+            one.name: Act("", journal.ENTER, one.name, "", player=one.player)
+            for one in self.competition.entrants
         }
         for one in self.acts:
-            if one.act in (ENTER, ADD, ENROL):
+            if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
                 found[one.subject] = one
-            elif one.act == IMAGE and one.subject in found:
+            elif one.act == journal.IMAGE and one.subject in found:
                 found[one.subject] = replace(found[one.subject], player=one.player, id=one.id)
         return found
 
@@ -78,23 +66,23 @@ class Course:
         """
         found = self.competition.season
         for one in self.acts:
-            if found is not None and one.act == CHANGE:
+            if found is not None and one.act == journal.CHANGE:
                 found = changed(found, one.subject, one.value)
         return found
 
     @property
     def in_season(self) -> bool:
         """Whether there is a season that is not closed, so that no testing task is played yet."""
-        return self.competition.season is not None and all(one.act != CLOSE for one in self.acts)
+        return self.competition.season is not None and all(one.act != journal.CLOSE for one in self.acts)
 
     @property
     def excluded(self) -> Mapping[str, str]:
         """The reason for each exclusion, by the entrant's name."""
         found: dict[str, str] = {}
         for one in self.acts:
-            if one.act == EXCLUDE:
+            if one.act == journal.EXCLUDE:
                 found[one.subject] = one.reason
-            elif one.act == READMIT:
+            elif one.act == journal.READMIT:
                 found.pop(one.subject, None)
         return found
 
@@ -102,7 +90,9 @@ class Course:
     def reruns(self) -> Mapping[TrialId, TrialId]:
         """The trial that was repeated, by the id of each repetition, oldest first."""
         return {
-            TrialId(one.trial): TrialId(one.subject) for one in self.acts if one.act == RERUN and one.trial
+            TrialId(one.trial): TrialId(one.subject)
+            for one in self.acts
+            if one.act == journal.RERUN and one.trial
         }
 
     @property
@@ -134,7 +124,7 @@ class Course:
             ExperimentError: it has other entrants, or other rules than at the start.
         """
         entrants = self.entrants
-        enrolled = {one.subject for one in self.acts if one.act == ENROL}
+        enrolled = {one.subject for one in self.acts if one.act == journal.ENROL}
         named = {one.name for one in competition.entrants}
         for name in named ^ (set(entrants) - enrolled):
             raise ExperimentError(
@@ -149,7 +139,7 @@ class Course:
                     f"the run was begun with other {what}: put back what its competition.toml has, or choose "
                     "another directory"
                 )
-        submitted = {one.subject for one in self.acts if one.act == IMAGE}
+        submitted = {one.subject for one in self.acts if one.act == journal.IMAGE}
         known = {one.name: one for one in competition.entrants if one.name not in submitted}
         found = (
             replace(known[name], id=one.id) if name in known else entrant_of(one)
@@ -159,7 +149,7 @@ class Course:
 
     def planned(self, spec: TrialSpec) -> bool:
         """Return whether a trial was planned from the start, and not by an act since."""
-        late = self.competition.season is not None or self.entrants[spec.id.parts[0]].act == ADD
+        late = self.competition.season is not None or self.entrants[spec.id.parts[0]].act == journal.ADD
         return not late and spec.id not in self.reruns
 
     def specs(self, competition: Competition, secret: bytes) -> list[TrialSpec]:
@@ -174,7 +164,7 @@ class Course:
             ConfigError: there is no such environment, or an option is wrong.
             ExperimentError: the journal repeats a trial that there is not.
         """
-        starts = [one for one in self.acts if one.act == START]
+        starts = [one for one in self.acts if one.act == journal.START]
         drawn = levels(competition, secret) if starts else []
         attempts = [spec for one in starts for spec in attempt_trials(drawn, competition.trials, one)]
         testing = [] if self.in_season else trials(competition, secret)
@@ -190,7 +180,9 @@ class Course:
         was, now = self.season, competition.season
         if was is None or now is None or not self.in_season:
             return []
-        return [act(CHANGE, name, "in the file", value=value) for name, value in changes(was, now).items()]
+        return [
+            act(journal.CHANGE, name, "in the file", value=value) for name, value in changes(was, now).items()
+        ]
 
     def exclusion(self, entrant: str, reason: str) -> Act:
         """Return the act of excluding an entrant.
@@ -202,7 +194,7 @@ class Course:
             raise ExperimentError(f"there is no entrant {entrant}; there are {', '.join(self.entrants)}")
         if entrant in self.excluded:
             raise ExperimentError(f"{entrant} is excluded: {self.excluded[entrant]}")
-        return act(EXCLUDE, entrant, reason)
+        return act(journal.EXCLUDE, entrant, reason)
 
     def repetitions(self, trials: Iterable[str], over: Collection[str], reason: str) -> list[Act]:
         """Return the acts of playing trials of the competition again.
@@ -228,7 +220,7 @@ class Course:
             entrant, task, _ = found.parts
             number = self.competition.trials + sum(one.parts[:2] == (entrant, task) for one in repeated)
             repeated.append(TrialId.of(entrant, task, number))
-            made.append(act(RERUN, trial, reason, trial=str(repeated[-1])))
+            made.append(act(journal.RERUN, trial, reason, trial=str(repeated[-1])))
         return made
 
 
@@ -239,6 +231,7 @@ def _rules(competition: Competition) -> dict[str, object]:
         "trials": competition.trials,
         "tasks": {task.name for task in competition.tasks},
         "episodes or steps": [(task.name, task.episodes, task.steps) for task in competition.tasks],
+        "rate or late": [(task.name, task.pace) for task in competition.tasks],
         "phases": [(task.name, task.phase, task.hidden) for task in competition.tasks],
     }
 

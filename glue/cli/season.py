@@ -122,17 +122,14 @@ def _run(command: Sequence[str], place: dict[str, str], on: Callable[[], bool]) 
     except OSError as error:
         raise ConfigError(f"cannot start {command[0]}: {error.strerror}") from None
     try:
-        while program.poll() is None:
+        while on():
             with suppress(subprocess.TimeoutExpired):
                 program.wait(_LOOK_SECONDS)
                 break
-            if not on():
-                break
     finally:
         for insist in (program.terminate, program.kill):
-            if program.poll() is None:
-                insist()
-                with suppress(subprocess.TimeoutExpired):
-                    program.wait(_END_SECONDS)
+            insist()  # nothing happens if it has ended
+            with suppress(subprocess.TimeoutExpired):
+                program.wait(_END_SECONDS)
     if program.returncode:
         say(f"{command[0]} ended with status {program.returncode}")

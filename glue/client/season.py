@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import http.client
+import io
 import json
 import os
 import re
@@ -18,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Protocol
+from typing import Any, Final, Protocol
 from urllib.parse import urlsplit
 
 from glue.client.target import OwnKey, Target
@@ -41,7 +42,7 @@ _SECONDS: Final = 60.0
 
 _MOST_BYTES: Final = 2**20
 _MOST_SHOWN: Final = 300
-_PIECE: Final = 2**16
+_MOST_BYTES_OF_FILE: Final = 2**16
 _POLL_SECONDS: Final = 1.0
 _LONGEST_POLL: Final = 10.0
 """Seconds between two questions of a program far back in the queue; it counts as gone after 15."""
@@ -55,6 +56,7 @@ _EVERYWHERE: Final = re.compile(r"(?<=//)(0\.0\.0\.0|\[::\]|\*)(?=:)")
 _FIELDS: Final = ("page", "name", "key", "hub_key", "token")
 
 Reply = Mapping[str, Any]
+File = io.BytesIO | io.BufferedReader
 
 
 class SeasonRefused(GlueError):
@@ -117,7 +119,7 @@ def read_membership(path: Path) -> Membership:
     """
     hint = "glue-compete join writes such a file"
     try:
-        found = tomllib.loads(read_own(path, _PIECE).decode())
+        found = tomllib.loads(read_own(path, _MOST_BYTES_OF_FILE).decode())
     except FileNotFoundError:
         raise ConfigError(f"there is no {path}: {hint}", settings=("season",)) from None
     except (ValueError, RecursionError) as error:
@@ -157,7 +159,7 @@ class Page:
         self,
         method: str,
         what: str,
-        body: Reply | BinaryIO | None = None,
+        body: Reply | File | None = None,
         pair: KeyPair | None = None,
         entrant: str = "",
     ) -> Reply:
@@ -166,7 +168,7 @@ class Page:
         Args:
             method: of HTTP.
             what: the last part of its path, such as `attempt`.
-            body: sent as JSON; or a file, read from where it is.
+            body: sent as JSON; or a whole file.
             pair: keys to sign with; None not to sign.
             entrant: name of the sender.
 
@@ -174,13 +176,14 @@ class Page:
             SeasonRefused: it is refused.
             SeasonBusy: the page cannot be reached, or asks to wait.
         """
-        content: bytes | BinaryIO
+        content: File
         if body is None or isinstance(body, Mapping):
-            content, kind = json.dumps(body or {}).encode(), "application/json"
+            content = io.BytesIO(json.dumps(body or {}).encode())
         else:
-            content, kind = body, "application/octet-stream"
-        size, digest = _measured(content)
-        headers = {"Content-Type": kind, "Content-Length": str(size), "Connection": "close"}
+            content = body
+        digest = hashlib.file_digest(content, "sha256").hexdigest()
+        headers = {"Content-Length": str(content.seek(0, io.SEEK_END)), "Connection": "close"}
+        content.seek(0)
         if pair is not None:
             # A proxy may have taken off the beginning of the path.
             headers |= signed(pair, entrant, method, f"{PREFIX}{what}", digest, clock.unix())
@@ -244,7 +247,7 @@ class Season:
         pair = read_pair(membership.key)
         self._key = OwnKey(membership.key, pair, read_public(membership.hub_key))
 
-    def ask(self, what: str, body: Reply | BinaryIO | None = None, method: str = "POST") -> Reply:
+    def ask(self, what: str, body: Reply | File | None = None, method: str = "POST") -> Reply:
         """Return the answer to a signed request; arguments and errors are those of `Page.ask`."""
         return self._page.ask(method, what, body, self._key.pair, self.membership.name)
 
@@ -340,18 +343,6 @@ def result(reply: Reply) -> str:
         left = f"attempts left: {reply['left']}"
         parts.append(f"{left}, new ones at {reply['returns']}" if reply.get("returns") else left)
     return one_line("; ".join(parts))
-
-
-def _measured(content: bytes | BinaryIO) -> tuple[int, str]:
-    """Return size and SHA-256 of a body; a file is left where it was."""
-    if isinstance(content, bytes):
-        return len(content), hashlib.sha256(content).hexdigest()
-    at, digest = content.tell(), hashlib.sha256()
-    while piece := content.read(_PIECE):
-        digest.update(piece)
-    size = content.tell() - at
-    content.seek(at)
-    return size, digest.hexdigest()
 
 
 def _reason(error: Exception) -> str:

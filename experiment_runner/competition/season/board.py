@@ -23,22 +23,8 @@ import numpy as np
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.competition.board.standings import Forfeit, interval
 from experiment_runner.competition.course import Course
-from experiment_runner.competition.records.journal import (
-    ADD,
-    CHANGE,
-    CLOSE,
-    EVERYBODY,
-    EXCLUDE,
-    FREEZE,
-    GRANT,
-    PAUSE,
-    READMIT,
-    RERUN,
-    RESUME,
-    THAW,
-    Act,
-    time_text,
-)
+from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.journal import EVERYBODY, Act, time_text
 from experiment_runner.competition.season.schedule import queue
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.settings import Competition
@@ -52,8 +38,11 @@ PUBLIC: Final = ""
 ORGANISER: Final = "*"
 """The viewer who sees everything, at once. Any other viewer is the name of an entrant."""
 
-_OF_ALL: Final = (ADD, EXCLUDE, READMIT, RERUN, FREEZE, THAW, CHANGE, CLOSE)
-_OF_ITS_OWNER: Final = (PAUSE, RESUME, GRANT)
+_OF_ALL: Final = (
+    *(journal.ADD, journal.EXCLUDE, journal.READMIT, journal.RERUN),
+    *(journal.FREEZE, journal.THAW, journal.CHANGE, journal.CLOSE),
+)
+_OF_ITS_OWNER: Final = (journal.PAUSE, journal.RESUME, journal.GRANT)
 """Acts that are shown to everybody, and those about an entrant that are shown to its owner."""
 
 _TIMES: Final = 200
@@ -212,12 +201,12 @@ class Boards:
         verdicts: Mapping[str, ReplayVerdict],
         now: datetime,
     ) -> None:
-        self._course = course
-        self._now = now
-        self._state = SeasonState.of(course)
-        self._played = {
+        self.course = course
+        self.now = now
+        self.state = SeasonState.of(course)
+        self.played = {
             (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts)
-            for one in self._state.attempts("over")
+            for one in self.state.attempts("over")
         }
 
     def seen_by(self, viewer: str) -> SeasonBoard:
@@ -226,14 +215,11 @@ class Boards:
 
     @cached_property
     def _public(self) -> _Board:
-        told = self._state.closed is not None
-        return _Board(
-            self._course, self._state, self._played, self._now, told, self._state.frozen_at(self._now)
-        )
+        return _Board(self, self.state.closed is not None, self.state.frozen_at(self.now))
 
     @cached_property
     def _whole(self) -> _Board:
-        return _Board(self._course, self._state, self._played, self._now, True, None)
+        return _Board(self, True, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,26 +285,16 @@ class _Board:
     """The board for those who may know the same of entrants that are not theirs.
 
     Args:
-        course, state, played, now: as of `Boards`.
+        of: the boards that it is one of.
         told: whether they may know the scores of hidden tasks.
         until: when attempts were over that they may know of; None for no limit.
     """
 
-    def __init__(
-        self,
-        course: Course,
-        state: SeasonState,
-        played: Mapping[tuple[str, int], _Played],
-        now: datetime,
-        told: bool,
-        until: datetime | None,
-    ) -> None:
-        self._course = course
-        self._state = state
-        self._played = played
-        self._now = now
+    def __init__(self, of: Boards, told: bool, until: datetime | None) -> None:
+        self._of = of
+        self._state = state = of.state
         self._until = until
-        proving = course.competition.proving
+        proving = of.course.competition.proving
         self._tasks = tuple(task.name for task in proving if told or not task.hidden)
         self._hidden = tuple(task.name for task in proving if task.name not in self._tasks)
         self._queue = {(one.entrant, one.number): i for i, one in enumerate(queue(state), 1)}
@@ -326,19 +302,19 @@ class _Board:
         self._placed = self._places_of()
         self._times = _spread(sorted({time for one in self._placed.values() for time in one.since}))
         self._over_time = _places(list(self._placed.values()), self._times, state.season.count)
-        self._acts = [one for one in reversed(course.acts) if one.act in (*_OF_ALL, *_OF_ITS_OWNER)]
+        self._acts = [one for one in reversed(of.course.acts) if one.act in (*_OF_ALL, *_OF_ITS_OWNER)]
         self._rows: dict[str, EntrantRow] = {}
 
     def board(self, viewer: str) -> SeasonBoard:
         """Return the board for one of them."""
-        state, season = self._state, self._state.season
+        state, season, now = self._state, self._state.season, self._of.now
         shown = [self._row(entrant, viewer) for entrant in state.entrants.values()]
         if state.closed is not None:
             phase = "closed"
         else:
-            phase = "before" if self._now < season.opens else "open" if self._now < season.closes else "over"
+            phase = "before" if now < season.opens else "open" if now < season.closes else "over"
         return SeasonBoard(
-            self._course.competition.name,
+            self._of.course.competition.name,
             phase,
             _text(season.opens),
             _text(season.closes),
@@ -365,14 +341,14 @@ class _Board:
         if entrant.excluded:
             return []
         found = entrant.standing(self._until)
-        return [(root, one) for root, one in found if self._played[one.entrant, one.number].verified]
+        return [(root, one) for root, one in found if self._of.played[one.entrant, one.number].verified]
 
     def _lowest_scores(self) -> dict[tuple[str, int], float]:
         """Return the lowest score of each level among those who played it to the end."""
         lowest: dict[tuple[str, int], float] = {}
         for entrant in self._state.entrants.values():
             for _, one in self._standing(entrant):
-                played = self._played[one.entrant, one.number]
+                played = self._of.played[one.entrant, one.number]
                 left = {(lost.task, lost.trial) for lost in played.forfeits}
                 for task, scores in played.scores.items():
                     for number, score in enumerate(scores):
@@ -382,7 +358,7 @@ class _Board:
 
     def _scores(self, attempt: Attempt) -> FloatArray:
         """Return the scores of an attempt's trials, shape (tasks, trials)."""
-        played = self._played[attempt.entrant, attempt.number]
+        played = self._of.played[attempt.entrant, attempt.number]
         scores = np.array([played.scores[task] for task in self._tasks])
         for lost in played.forfeits:
             if lost.task in self._tasks:
@@ -458,7 +434,7 @@ class _Board:
         unseen = self._until is not None and one.ended is not None and one.ended > self._until
         if one.state != "over" or (unseen and not knows):
             return row
-        played = self._played[one.entrant, one.number]
+        played = self._of.played[one.entrant, one.number]
         if not played.verified:
             return replace(row, state="unverified")
         scores = self._scores(one)

@@ -37,12 +37,11 @@ from experiment_runner.competition.season.control import NoServer, ask
 from experiment_runner.competition.season.images import MODULE
 from experiment_runner.competition.season.trying import tasks_of
 from experiment_runner.competition.starters import name_of_run
+from glue.client.season import PREFIX
 from glue.console import one_line
 from glue.errors import GlueError
 from glue.keys.certificates import decode
 from glue.keys.requests import DIGEST, ENTRANT, Once, Unsigned, check
-
-PREFIX: Final = "/season/api/"
 
 _MOST_JSON: Final = 2**14
 _MOST_UPLOADS: Final = 4
@@ -118,8 +117,8 @@ def routes(directory: Path, now: Callable[[], float] = time.time) -> list[BaseRo
     entrance = _Entrance(directory, now)
     return [
         Route(f"{PREFIX}join", _answering(entrance.join), methods=["POST"]),
-        Route(f"{PREFIX}attempt", _answering(entrance.attempt), methods=["POST"]),
-        Route(f"{PREFIX}withdraw", _answering(entrance.withdraw), methods=["POST"]),
+        Route(f"{PREFIX}attempt", _answering(entrance.passing("attempt")), methods=["POST"]),
+        Route(f"{PREFIX}withdraw", _answering(entrance.passing("withdraw")), methods=["POST"]),
         Route(f"{PREFIX}image", _answering(entrance.image), methods=["PUT"]),
         Route(f"{PREFIX}tasks", _answering(entrance.tasks), methods=["GET"]),
     ]
@@ -157,27 +156,23 @@ class _Entrance:
     async def join(self, request: Request) -> _Answer:
         self._joins.take(_address(request))
         body = await self._json(request)
-        name, key = _text(body, "name"), _text(body, "key")
         try:
-            check(decode(key), request.method, _path(request), request.headers, self._now())
+            key = decode(str(body.get("key")))
+            check(key, request.method, request.url.path, request.headers, self._now())
         except ValueError:
             raise Denied("key is not a public key as glue-keys writes it") from None
         except Unsigned as error:
             raise Denied(f"the request {error}", 403) from None
-        if request.headers.get(ENTRANT) != name:
-            raise Denied("the request is not signed by the entrant that it names", 403)
-        more = {"code": _text(body, "code"), "team": _text(body, "team")}
-        return await self._ask({"do": "enrol", "name": name, "key": key, **more})
+        return await self._ask({**body, "do": "enrol"})
 
-    async def attempt(self, request: Request) -> _Answer:
-        entrant = await self._sender(request)
-        number = _number(await self._json(request))
-        return await self._ask({"do": "attempt", "entrant": entrant, "attempt": number})
+    def passing(self, do: str) -> _Endpoint:
+        """Return what passes a signed request on, as that of its entrant."""
 
-    async def withdraw(self, request: Request) -> _Answer:
-        entrant = await self._sender(request)
-        number = _number(await self._json(request))
-        return await self._ask({"do": "withdraw", "entrant": entrant, "attempt": number})
+        async def pass_on(request: Request) -> _Answer:
+            entrant = await self._sender(request)
+            return await self._ask({**await self._json(request), "do": do, "entrant": entrant})
+
+        return pass_on
 
     async def tasks(self, request: Request) -> _Answer:
         self._of_address.take(_address(request))
@@ -198,8 +193,7 @@ class _Entrance:
         with self._upload(entrant, int(size)) as file:
             await _received(request, file, int(size))
             found = await _loaded(file.name, season.most_bytes, f"glue-season/{name_of_run(self._directory)}")
-        name = one_line(request.query_params.get("name", ""), _MOST_LETTERS)
-        return await self._ask({"do": "submit", "entrant": entrant, "image": found, "name": name or found})
+        return await self._ask({"do": "submit", "entrant": entrant, "image": found, "name": found})
 
     @contextmanager
     def _upload(self, entrant: str, size: int) -> Iterator[BinaryIO]:
@@ -234,7 +228,7 @@ class _Entrance:
             raise Denied(f"there is no entrant {one_line(entrant)} in this season: glue-compete join", 403)
         now = self._now()
         try:
-            check(decode(key), request.method, _path(request), request.headers, now)
+            check(decode(key), request.method, request.url.path, request.headers, now)
             self._of_entrant.take(entrant)
             self._once.remember(request.headers, now)
         except Unsigned as error:
@@ -309,26 +303,6 @@ async def _loaded(path: str, most: int, repository: str) -> str:
 def _check_digest(request: Request, digest: str) -> None:
     if request.headers.get(DIGEST) != digest:
         raise Denied("the body is not the one that was signed: send it again")
-
-
-def _text(body: Mapping[str, Any], field: str) -> str:
-    value = body.get(field, "")
-    if not isinstance(value, str):
-        raise Denied(f"{field} is a text")
-    return value
-
-
-def _number(body: Mapping[str, Any]) -> int:
-    value = body.get("attempt", 0)
-    if type(value) is not int or not 0 <= value < 2**31:
-        raise Denied("attempt is the number of an attempt")
-    return value
-
-
-def _path(request: Request) -> str:
-    """Return what was signed of the address of a request."""
-    query = request.url.query
-    return f"{request.url.path}?{query}" if query else request.url.path
 
 
 def _address(request: Request) -> str:

@@ -1,4 +1,4 @@
-"""The board of a season for the terminal, as CSV and as JSON; grades for the systems that teachers use."""
+"""The board of a season for the terminal and for a bundle; grades for the systems that teachers use."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Final
 from experiment_runner.competition.board.forms import line_of, number, plain
 from experiment_runner.competition.board.standings import Standings, standings
 from experiment_runner.competition.course import Course
+from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
 from experiment_runner.report.tables import format_table
 from experiment_runner.store.output import csv_row, finite
@@ -65,29 +66,6 @@ def as_text(board: SeasonBoard, width: int | None = None) -> str:
     return "\n\n".join((*parts, "\n".join(_LEGEND)))
 
 
-def as_csv(board: SeasonBoard) -> str:
-    """Return the board as CSV: one line for each entrant."""
-    return _csv(
-        [
-            "place",
-            "entrant",
-            "team",
-            "score",
-            "low",
-            "high",
-            *(f"score {task}" for task in board.tasks),
-            "no_place",
-        ],
-        (
-            [row.place, row.shown, row.team]
-            + [finite(value) for value in (row.score, row.low, row.high)]
-            + [row.tasks.get(task) for task in board.tasks]
-            + [row.missing]
-            for row in board.entrants
-        ),
-    )
-
-
 def boards_as_json(results: Results, course: Course) -> str:
     """Return the boards in a bundle, each if there is one: that of the season, for its organiser, at the time
     of the last act, and the standings of the testing tasks.
@@ -116,8 +94,8 @@ def _moodle(title: str, grades: Grades) -> str:
     return _csv(["username", title], ([name, finite(score)] for name, score in grades))
 
 
-def _plain(title: str, grades: Grades) -> str:
-    """Scores with their places, the best first."""
+def places_of(title: str, grades: Grades) -> str:
+    """Return scores with their places, the best first, as CSV."""
     ordered = sorted(grades, key=lambda one: (math.isnan(one[1]), -one[1], one[0]))
     places = [1 + sum(other > score for _, other in grades) for _, score in ordered]
     return _csv(
@@ -129,7 +107,11 @@ def _plain(title: str, grades: Grades) -> str:
     )
 
 
-GRADES: Final[dict[str, Callable[[str, Grades], str]]] = {"canvas": _canvas, "moodle": _moodle, "csv": _plain}
+GRADES: Final[dict[str, Callable[[str, Grades], str]]] = {
+    "canvas": _canvas,
+    "moodle": _moodle,
+    "csv": places_of,
+}
 """The forms of grades by name: a file from a title and the grades."""
 
 
@@ -141,7 +123,12 @@ def grades_of(results: Results, course: Course) -> Grades:
     """
     if course.competition.testing and not course.in_season:
         return [(one.name, one.total) for one in standings(results, course).entrants]
-    board = season_board(results, course, datetime.now(UTC), ORGANISER)
+    check_seal(results)
+    return scores_of(season_board(results, course, datetime.now(UTC), ORGANISER))
+
+
+def scores_of(board: SeasonBoard) -> Grades:
+    """Return the scores on the board of a season for its organiser."""
     return [(row.name, row.score) for row in board.entrants]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.competition.season.board import ORGANISER
-from experiment_runner.competition.season.forms import GRADES, as_csv, as_text
+from experiment_runner.competition.season.forms import GRADES, as_text
 from tests.experiment_runner.competition import contest
 from tests.experiment_runner.competition.season.inside import FILE, Season
 from tests.experiment_runner.competition.season.made import Made
@@ -95,7 +95,7 @@ def test_grades_are_files_that_other_systems_take(form: str, header: list[str], 
     assert [line[-1] for line in lines if "bob" in line] == [""]
 
 
-def test_a_season_is_shown_in_the_terminal_and_as_csv() -> None:
+def test_a_season_is_shown_in_the_terminal() -> None:
     made = Made(["ann", "bob"])
     made.attempt("ann", 1.0, 2.0)
     made.attempt("ann", 1.0, forfeit="no answer for 5 s")
@@ -110,4 +110,3 @@ def test_a_season_is_shown_in_the_terminal_and_as_csv() -> None:
         "a new level",
     ):
         assert text in shown
-    assert as_csv(made.board()).splitlines()[1] == "1,alias of ann,,1.5,1.0,2.0,1.5,"
