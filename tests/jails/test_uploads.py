@@ -1,0 +1,73 @@
+"""Images that entrants of a season upload, and what their containers use, in the real engine."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from experiment_runner.competition.containers import Containers
+from experiment_runner.competition.season.images import MODULE
+from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starters import Launch
+from tests.jails.test_containers import launch
+from tests.system.runs import wait_until
+
+__all__ = ["launch"]
+
+
+def uploaded(path: Path, most: int = 2**30) -> dict[str, str]:
+    """Return what becomes of an upload."""
+    command = [sys.executable, "-P", "-m", MODULE, str(path), str(most), "glue-season/test"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
+    found: dict[str, str] = json.loads(done.stdout)
+    return found
+
+
+def test_an_upload_takes_over_no_name_and_keeps_its_id(
+    engine: Any, image: Callable[..., str], tmp_path: Path
+) -> None:
+    hostile = image("RUN echo hostile > /who", "CMD id")
+    ours = image("RUN echo ours > /who", "CMD id")
+    hostile_id, our_id = engine.images.get(hostile).id, engine.images.get(ours).id
+    engine.images.get(hostile).tag(*ours.split(":"))  # for the moment of saving, it has our name
+    saved = tmp_path / "hostile.tar"
+    subprocess.run(["docker", "save", "--output", str(saved), ours], check=True, timeout=60)
+    engine.images.get(our_id).tag(*ours.split(":"))
+    engine.images.remove(hostile, force=True)
+    try:
+        assert uploaded(saved) == {"id": hostile_id}
+        assert engine.images.get(ours).id == our_id
+        tags = engine.images.get(hostile_id).tags
+        assert tags == [f"glue-season/test:{hostile_id.rpartition(':')[2][:12]}"]
+    finally:
+        engine.images.get(hostile_id).tag(*hostile.split(":"))
+        engine.images.remove(f"glue-season/test:{hostile_id.rpartition(':')[2][:12]}")
+
+
+def test_an_upload_that_would_be_too_large_never_reaches_the_engine(
+    engine: Any, image: Callable[..., str], tmp_path: Path
+) -> None:
+    saved = tmp_path / "image.tar"
+    subprocess.run(["docker", "save", "--output", str(saved), image("CMD id")], check=True, timeout=60)
+    before = len(engine.images.list(all=True))
+    assert "too large" in uploaded(saved, 2**20)["error"]
+    assert len(engine.images.list(all=True)) == before
+
+
+def test_a_container_is_charged_for_all_its_programs(image: Callable[..., str], launch: Launch) -> None:
+    program = "import os, time\nif os.fork(): time.sleep(1000)\nwhile True: pass"
+    command = json.dumps(["python3", "-c", program])
+    entrant = Entrant("alice", image=image("USER 1234:1234", f"CMD {command}"))
+    container = Containers().start(entrant, Limits(), launch)
+    try:
+        wait_until(lambda: (container.processor or 0.0) > 0.2, "its child to use a processor")
+    finally:
+        container.stop()
+    assert container.processor is not None
+    assert container.processor > 0.2
+    assert container.peak is not None
+    assert container.peak > 2**20
