@@ -13,6 +13,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
+from agents.choosing import epsilon_greedy
 from glue.errors import LocalProtocolError, SaveError
 from glue.options import Option
 from glue.roles import Agent
@@ -35,6 +36,7 @@ class LinearAgent(Agent):
     """
 
     name = "linear"
+    agent_masks = True
 
     @dataclass(frozen=True, kw_only=True)
     class Options:
@@ -144,12 +146,7 @@ class LinearAgent(Agent):
         values = [
             math.fsum(weights[(cell + choice) % _WEIGHTS] for cell in cells) for choice in range(actions)
         ]
-        if self._generator.random() < self._options.epsilon:
-            choice = int(self._generator.integers(actions))
-        else:
-            highest = max(values)
-            best = [choice for choice, value in enumerate(values) if value == highest]
-            choice = best[self._generator.integers(len(best))] if len(best) > 1 else best[0]
+        choice = epsilon_greedy(self._generator, self._options.epsilon, values, observation)
         return [(cell + choice) % _WEIGHTS for cell in cells], choice, values[choice]
 
     def _cells(self, numbers: list[float]) -> list[int]:

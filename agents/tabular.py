@@ -13,6 +13,7 @@ from typing import Annotated, Final
 import numpy as np
 import numpy.typing as npt
 
+from agents.choosing import epsilon_greedy
 from glue.errors import LocalProtocolError, SaveError
 from glue.options import Option
 from glue.roles import Agent
@@ -30,11 +31,13 @@ _Learned = tuple[np.random.Generator, tuple[int, int], npt.NDArray[np.float64]]
 
 
 class SarsaAgent(Agent):
-    """Tabular SARSA with epsilon-greedy choice, ties broken at random.
+    """Tabular SARSA with epsilon-greedy choice among the legal actions, ties broken at random.
 
     It plays any task whose task spec bounds one int of observation and one int of action. The discount is
     the task spec's.
     """
+
+    agent_masks = True
 
     def __init__(
         self,
@@ -79,13 +82,13 @@ class SarsaAgent(Agent):
 
     def agent_start(self, observation: Observation) -> Action:
         self._state = self._state_of(observation)
-        self._choice = self._choose(self._state)
+        self._choice = self._choose(self._state, observation)
         self._errors, self._updates = 0.0, 0
         return self._action()
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         state = self._state_of(observation)
-        choice = self._choose(state)
+        choice = self._choose(state, observation)
         self._learn(reward + self._discount * self._values[state * self._num_actions + choice])
         self._state, self._choice = state, choice
         return self._action()
@@ -132,13 +135,9 @@ class SarsaAgent(Agent):
             raise LocalProtocolError(f"{observation!r} is outside what the task spec says")
         return state
 
-    def _choose(self, state: int) -> int:
-        if self._generator.random() < self._epsilon:
-            return int(self._generator.integers(self._num_actions))
+    def _choose(self, state: int, observation: Observation) -> int:
         values = self._values[state * self._num_actions : (state + 1) * self._num_actions]
-        highest = max(values)
-        best = [choice for choice, value in enumerate(values) if value == highest]
-        return best[self._generator.integers(len(best))] if len(best) > 1 else best[0]
+        return epsilon_greedy(self._generator, self._epsilon, values, observation)
 
     def _learn(self, target: float) -> None:
         at = self._state * self._num_actions + self._choice

@@ -31,6 +31,7 @@ ORDER: Final = (
     "mario",
     "agents",
     "competition",
+    "realtime",
     "season",
 )
 """The sections of the page, in this order: the notes, and parts of the benchmarks by their names."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Annotated, Final
 
 import numpy as np
@@ -63,6 +64,12 @@ MINES_MAP: Final = (
     "..*......*.......G",
 )
 _DIRECTIONS: Final = ((-1, 0), (1, 0), (0, -1), (0, 1))
+_OPEN: Final = tuple(
+    [0 <= row + down < len(MINES_MAP) and 0 <= column + right < len(line) for down, right in _DIRECTIONS]
+    for row, line in enumerate(MINES_MAP)
+    for column in range(len(line))
+)
+"""For each field, which moves lead into no wall."""
 _GOAL_REWARD: Final = 10.0
 _MINE_REWARD: Final = -100.0
 _STEP_REWARD: Final = -1.0
@@ -73,6 +80,7 @@ class MinesEnvironment(Environment):
 
     The observation is the field, row by row (0..107); actions 0..3 go up, down, left, right, and a step
     into a wall does not move. The goal ends the episode with +10, a mine with -100; any other step costs 1.
+    With `masks`, steps into a wall are illegal.
     """
 
     def __init__(
@@ -82,7 +90,9 @@ class MinesEnvironment(Environment):
         seed: Annotated[
             int | None, Option("random seed of the starts; the experiment's if not given", low=0)
         ] = None,
+        masks: Annotated[bool, Option("say with each observation which moves lead into no wall")] = False,
     ) -> None:
+        self.env_masks: bool = masks
         self._random_start = random_start
         self._own_seed = seed
         self._generator = np.random.default_rng(seed or 0)
@@ -98,25 +108,26 @@ class MinesEnvironment(Environment):
     def env_init(self) -> str:
         self._field = None
         fields = Discrete(len(self._fields))
+        extra = "mines masks" if self.env_masks else "mines"
         return task_spec(
-            fields, Discrete(len(_DIRECTIONS)), rewards=(_MINE_REWARD, _GOAL_REWARD), extra="mines"
+            fields, Discrete(len(_DIRECTIONS)), rewards=(_MINE_REWARD, _GOAL_REWARD), extra=extra
         )
 
     def env_start(self) -> Observation:
         start = self._fields.index("S")
         self._field = int(self._generator.choice(self._free)) if self._random_start else start
-        return Observation(ints=(self._field,))
+        return _shown(self._field, self.env_masks)
 
     def env_step(self, action: Action) -> Step:
         if self._field is None:
             raise SimulatorError("env_step needs env_start first")
-        down, right = _DIRECTIONS[_one_int(action, high=3)]
-        row, column = divmod(self._field, self._columns)
-        if 0 <= row + down < len(MINES_MAP) and 0 <= column + right < self._columns:
+        move = _one_int(action, high=3)
+        if _OPEN[self._field][move]:
+            down, right = _DIRECTIONS[move]
             self._field += down * self._columns + right
         what = self._fields[self._field]
         reward = {"G": _GOAL_REWARD, "*": _MINE_REWARD}.get(what, _STEP_REWARD)
-        return Step(reward, Observation(ints=(self._field,)), what in "G*")
+        return Step(reward, _shown(self._field, self.env_masks), what in "G*")
 
     def env_cleanup(self) -> None:
         self._field = None
@@ -131,6 +142,11 @@ class MinesEnvironment(Environment):
 
     def env_load(self, data: bytes) -> None:
         self._generator = unpack_generator(data, "mines")
+
+
+@cache
+def _shown(field: int, masks: bool) -> Observation:
+    return Observation(ints=(field,), mask=_OPEN[field] if masks else None)
 
 
 def _one_int(action: Action, high: int) -> int:

@@ -23,6 +23,7 @@ from glue.errors import TaskSpecError as TaskSpecError
 from glue.errors import Unsupported as Unsupported
 from glue.hub.io.inside import host as host
 from glue.options import Option as Option
+from glue.pace import Pace as Pace
 from glue.plugins.loading import make as make
 from glue.plugins.loading import make_agent as make_agent
 from glue.roles import Agent as Agent

@@ -251,10 +251,13 @@ def keywords(
         if name == "self" or kind is None or default is parameter.empty:
             continue
         default = default if isinstance(default, _SIMPLE) else None
-        annotation: Any = Annotated[kind | None, Option(help_text)]
-        keyword = inspect.Parameter.KEYWORD_ONLY
-        found.append(inspect.Parameter(name, keyword, default=default, annotation=annotation))
+        found.append(option(name, default, Annotated[kind | None, Option(help_text)]))
     return found
+
+
+def option(name: str, default: Value | None, annotation: Any) -> inspect.Parameter:
+    """Return a parameter for `with_options`; its annotation is a type with an `Option`."""
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 def with_options(construct: Callable[..., None], options: Sequence[inspect.Parameter]) -> Callable[..., None]:

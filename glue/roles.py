@@ -152,6 +152,22 @@ class MetricAgent(Protocol):
         ...
 
 
+class PacedAgent(Protocol):
+    """Capability `pace`: the agent is told how much time it has, where the environment does not wait for it.
+
+    See `glue.pace`.
+    """
+
+    def agent_pace(self, deadline: float, latency: float) -> None:
+        """Note the time for the answer to the agent_step that follows, of an environment with a rate.
+
+        Args:
+            deadline: seconds until the environment's next step.
+            latency: seconds that the answer before took, the way there and back included.
+        """
+        ...
+
+
 class BatchEnvironment(Protocol):
     """Capability `batch`: the environment is many games; each of its observations carries a batch.
 
@@ -171,9 +187,37 @@ class BatchAgent(Protocol):
         ...
 
 
+class MaskEnvironment(Protocol):
+    """Capability `mask`: observations may say which actions are legal.
+
+    The task spec's EXTRA has the word `masks` (`glue.taskspec.TaskSpec.masks`) if they do, and each int of an
+    action has two bounds there. See `glue.types.Observation`.
+    """
+
+    env_masks: bool
+    """True."""
+
+
+class MaskAgent(Protocol):
+    """Capability `mask`: the agent reads the masks of observations; without it there are none in them."""
+
+    agent_masks: bool
+    """True."""
+
+
+class ExtrasEnvironment(Protocol):
+    """Capability `extras`: observations may carry named values that no agent sees; see `glue.extras`."""
+
+    env_extras: bool
+    """True."""
+
+
 CAPABILITIES: Final[Mapping[str, tuple[type, ...]]] = {
     "batch": (BatchEnvironment, BatchAgent),
+    "extras": (ExtrasEnvironment,),
+    "mask": (MaskEnvironment, MaskAgent),
     "metrics": (MetricAgent,),
+    "pace": (PacedAgent,),
     "seed": (SeedableEnvironment, SeedableAgent),
     "save": (SaveableEnvironment, SaveableAgent),
     "truncate": (EnvironmentLike,),
@@ -181,12 +225,15 @@ CAPABILITIES: Final[Mapping[str, tuple[type, ...]]] = {
 
 
 def offers(player: object, capability: Callable[..., T]) -> TypeGuard[T]:
-    """Return whether a player has all methods of a capability's protocol.
+    """Return whether a player has all methods of a capability's protocol, and its attributes are True.
 
     `isinstance` looks at the class, and would not see the methods that a wrapper delegates.
     """
     methods = [name for name in vars(capability) if not name.startswith("_")]
-    return all(callable(getattr(player, name, None)) for name in methods)
+    attributes: Mapping[str, object] = getattr(capability, "__annotations__", {})
+    return all(callable(getattr(player, name, None)) for name in methods) and all(
+        getattr(player, name, None) is True for name in attributes
+    )
 
 
 def capabilities(player: object) -> tuple[str, ...]:

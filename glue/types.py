@@ -2,22 +2,26 @@
 
 Both are three sequences of numbers: ints (int32), doubles (float64), chars (bytes). A value is kept
 as the bytes that cross the wire, its *body*, so that sending and comparing cost nothing and the NumPy
-arrays are read-only views.
+arrays are read-only views. An observation may carry two things beside the three sequences: a mask of the
+legal actions, and extras, named values that no agent sees (`glue.extras`).
 
     offset  0        uint32   number of ints I
     offset  4        uint32   number of doubles D
     offset  8        uint32   number of chars C
-    offset 12        uint32   zero
-    offset 16        D float64, then I int32, then C bytes, without gaps
+    offset 12        uint16   size of the mask in bytes M
+    offset 14        uint16   size of the extras in bytes X
+    offset 16        D float64, then I int32, then C bytes, M bytes, X bytes, without gaps
 
-Everything is little-endian. Doubles come first so that they are aligned.
+Everything is little-endian. Doubles come first so that they are aligned. The mask has a bit for each value of
+each int of an action, in this order: bit i is bit i % 8 of byte i // 8, and is set if the value is legal.
 Source of the type: RL-Glue 3.0, rl_abstract_type_t.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, Final, NamedTuple, Self
 
@@ -25,15 +29,28 @@ import numpy as np
 import numpy.typing as npt
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.extras import Extra, GivenExtra, pack_extras, unpack_extras
 
 CUT_OFF: Final = 2
 """The terminal, on the wire, of a step that cut the episode off: true, but the state is not terminal."""
 
 IntArray = npt.NDArray[np.int32]
 DoubleArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
 
 PREFIX_SIZE: Final = 16
+BESIDE_AT: Final = 12
+NOTHING_BESIDE: Final = bytes(4)
+"""Bytes of a body without mask and extras, from the offset `BESIDE_AT` on."""
+
+MAX_MASK_BITS: Final = 8 * (2**16 - 1)
+"""Maximum number of values of all ints of an action together that a mask can tell of."""
+
 _PREFIX: Final = struct.Struct("<4I")
+_BESIDE: Final = struct.Struct("<2H")
+_FEW_BITS: Final = 256
+"""Maximum number of bits of a mask whose packed and unpacked forms are cached."""
+
 _INT32: Final = np.dtype("<i4")
 _FLOAT64: Final = np.dtype("<f8")
 _INT32_MIN: Final = -(2**31)
@@ -67,13 +84,7 @@ class AbstractType:
         doubles: Sequence[float] | npt.NDArray[np.floating] = (),
         chars: bytes = b"",
     ) -> None:
-        if not isinstance(chars, bytes):
-            raise LocalProtocolError(f"chars must be bytes, not {chars!r:.80}")
-        try:
-            prefix = _PREFIX.pack(len(ints), len(doubles), len(chars), 0)
-        except TypeError:
-            raise LocalProtocolError(_not_rows(ints, doubles)) from None
-        self._body = b"".join((prefix, _pack_doubles(doubles), _pack_ints(ints), chars))
+        self._body = _packed(ints, doubles, chars, b"", b"")
         self._ints = None
         self._doubles = None
 
@@ -123,8 +134,9 @@ class AbstractType:
     @property
     def chars(self) -> bytes:
         """The chars, C bytes."""
-        ints, doubles, _, _ = _PREFIX.unpack_from(self._body)
-        return self._body[PREFIX_SIZE + 8 * doubles + 4 * ints :]
+        ints, doubles, chars, _ = _PREFIX.unpack_from(self._body)
+        at = PREFIX_SIZE + 8 * doubles + 4 * ints
+        return self._body[at : at + chars]
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -156,9 +168,78 @@ class AbstractType:
 
 
 class Observation(AbstractType):
-    """An observation of an environment; see `AbstractType`."""
+    """An observation of an environment; see `AbstractType`.
+
+    Args:
+        ints: as for `AbstractType`, like `doubles` and `chars`.
+        mask: whether each value of each int of an action is legal, shape (bits,): for two ints from 0 to 3
+            and from 1 to 2, the values 0, 1, 2, 3 of the first, then 1, 2 of the second. None if all are.
+            Only an environment with the capability `mask` may give one.
+        extras: values by name for everyone but the agent; see `glue.extras`. Only an environment with the
+            capability `extras` may give any.
+
+    Raises:
+        LocalProtocolError: as for `AbstractType`; the mask is no sequence of truth values or has more than
+            `MAX_MASK_BITS`; an extra is of another type, or they exceed a limit.
+    """
 
     __slots__ = ()
+
+    def __init__(
+        self,
+        ints: Sequence[int] | npt.NDArray[np.integer] = (),
+        doubles: Sequence[float] | npt.NDArray[np.floating] = (),
+        chars: bytes = b"",
+        *,
+        mask: Sequence[bool] | npt.NDArray[np.bool_ | np.integer] | None = None,
+        extras: Mapping[str, GivenExtra] | None = None,
+    ) -> None:
+        bits = b"" if mask is None else _pack_mask(mask)
+        named = pack_extras(extras) if extras else b""
+        self._body = _packed(ints, doubles, chars, bits, named)
+        self._ints = None
+        self._doubles = None
+
+    @property
+    def packed_mask(self) -> bytes:
+        """The mask as it crosses the wire, M bytes; empty if every action is legal."""
+        body = self._body
+        mask, extras = _BESIDE.unpack_from(body, BESIDE_AT)
+        end = len(body) - extras
+        return body[end - mask : end]
+
+    @property
+    def mask(self) -> BoolArray | None:
+        """Whether each value of an action is legal, shape (8 * M,), read-only; None if every action is.
+
+        The bits after those of the task spec's values are False. See `glue.taskspec.legal_values`.
+        """
+        packed = self.packed_mask
+        return _unpack_mask(packed) if packed else None
+
+    @property
+    def extras(self) -> dict[str, Extra]:
+        """The extras, by name; empty if there are none.
+
+        Raises:
+            RemoteProtocolError: the environment has sent something else.
+        """
+        extras = beside_sizes(self._body)[1]
+        return unpack_extras(self._body[-extras:]) if extras else {}
+
+    def without(self, *, mask: bool = False, extras: bool = True) -> Observation:
+        """Return this observation without its mask, or without its extras."""
+        body = without_beside(self._body, mask=mask, extras=extras)
+        return self if body is self._body else Observation._wrap(body)
+
+    def __repr__(self) -> str:
+        shown = super().__repr__()
+        if not has_beside(self._body):
+            return shown
+        mask, extras = beside_sizes(self._body)
+        parts = [f"mask=0x{self.packed_mask[:8].hex()}" + ("..." if mask > 8 else "")] if mask else []
+        parts += [f"extras of {extras} bytes"] if extras else []
+        return f"{shown[:-1]}{', ' * (shown[-2] != '(')}{', '.join(parts)})"
 
 
 class Action(AbstractType):
@@ -167,20 +248,96 @@ class Action(AbstractType):
     __slots__ = ()
 
 
+def _packed(
+    ints: Sequence[int] | npt.NDArray[np.integer],
+    doubles: Sequence[float] | npt.NDArray[np.floating],
+    chars: bytes,
+    mask: bytes,
+    extras: bytes,
+) -> bytes:
+    """Return the body of these."""
+    if not isinstance(chars, bytes):
+        raise LocalProtocolError(f"chars must be bytes, not {chars!r:.80}")
+    try:
+        prefix = _PREFIX.pack(len(ints), len(doubles), len(chars), len(mask) | len(extras) << 16)
+    except TypeError:
+        raise LocalProtocolError(_not_rows(ints, doubles)) from None
+    return b"".join((prefix, _pack_doubles(doubles), _pack_ints(ints), chars, mask, extras))
+
+
 def body_size(buffer: bytes | bytearray, offset: int = 0) -> int:
     """Return the size in bytes of the abstract type that starts at `offset`, according to its counts.
 
     Raises:
-        RemoteProtocolError: fewer than 16 bytes are left, or the reserved word is not zero.
+        RemoteProtocolError: fewer than 16 bytes are left.
     """
     if len(buffer) - offset < PREFIX_SIZE:
         raise RemoteProtocolError(
             f"an abstract type starts with {PREFIX_SIZE} bytes of counts; {len(buffer) - offset} are left"
         )
-    ints, doubles, chars, reserved = _PREFIX.unpack_from(buffer, offset)
-    if reserved:
-        raise RemoteProtocolError(f"bytes 12 to 15 of an abstract type must be zero, not {reserved:#x}")
-    return int(PREFIX_SIZE + 8 * doubles + 4 * ints + chars)
+    ints, doubles, chars, beside = _PREFIX.unpack_from(buffer, offset)
+    return int(PREFIX_SIZE + 8 * doubles + 4 * ints + chars + (beside & 0xFFFF) + (beside >> 16))
+
+
+def beside_sizes(body: bytes) -> tuple[int, int]:
+    """Return the sizes in bytes of the mask and of the extras of a body."""
+    mask, extras = _BESIDE.unpack_from(body, BESIDE_AT)
+    return mask, extras
+
+
+def has_beside(body: bytes, offset: int = 0) -> bool:
+    """Return whether the body that starts at `offset` has a mask or extras."""
+    return not body.startswith(NOTHING_BESIDE, offset + BESIDE_AT)
+
+
+def without_beside(body: bytes, *, mask: bool, extras: bool) -> bytes:
+    """Return the body of an observation without its mask, or without its extras."""
+    masked, extra = beside_sizes(body)
+    if not (mask and masked) and not (extras and extra):
+        return body
+    end = len(body) - extra
+    sizes = _BESIDE.pack(0 if mask else masked, 0 if extras else extra)
+    numbers = body[PREFIX_SIZE : end - masked if mask else end]
+    return b"".join((body[:BESIDE_AT], sizes, numbers, body[end:] if not extras else b""))
+
+
+def _pack_mask(mask: Sequence[bool] | npt.NDArray[np.bool_ | np.integer]) -> bytes:
+    bits = b""
+    try:
+        if len(mask) <= MAX_MASK_BITS:
+            bits = bytes(mask) if isinstance(mask, (list, tuple)) else _mask_bytes(np.asarray(mask))
+    except (TypeError, ValueError):
+        with suppress(TypeError, ValueError):  # a list of NumPy's truth values
+            bits = _mask_bytes(np.asarray(mask))
+    return (_packed_bits if len(bits) <= _FEW_BITS else _packed_bits.__wrapped__)(bits)
+
+
+def _mask_bytes(mask: npt.NDArray[Any]) -> bytes:
+    if mask.ndim != 1 or mask.dtype.kind not in "biu":
+        return b""
+    return mask.tobytes() if mask.dtype.itemsize == 1 else bytes(mask.tolist())
+
+
+@lru_cache(maxsize=1024)
+def _packed_bits(bits: bytes) -> bytes:
+    """Return the packed form of a mask with a byte for each bit."""
+    values = np.frombuffer(bits, np.uint8)
+    if not 0 < len(values) <= MAX_MASK_BITS or values.max() > 1:
+        raise LocalProtocolError(
+            f"a mask has a truth value for each value of each int of an action, 1 to {MAX_MASK_BITS} of them"
+        )
+    return np.packbits(values, bitorder="little").tobytes()
+
+
+def _unpack_mask(packed: bytes) -> BoolArray:
+    return (_unpacked_bits if 8 * len(packed) <= _FEW_BITS else _unpacked_bits.__wrapped__)(packed)
+
+
+@lru_cache(maxsize=1024)
+def _unpacked_bits(packed: bytes) -> BoolArray:
+    bits = np.unpackbits(np.frombuffer(packed, np.uint8), bitorder="little").view(np.bool_)
+    bits.flags.writeable = False
+    return bits
 
 
 @lru_cache(maxsize=256)

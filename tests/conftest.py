@@ -27,7 +27,7 @@ FOLDERS: Final = {
     "experiment_runner/study": "studies",
     "experiment_runner/view/browser": "page",
     **{f"env_server/gym/test_{name}.py": "gymnasium" for name in ("pufferlib", "torchrl")},
-    "glue/gym/test_sb3.py": "gymnasium",
+    **{f"glue/gym/test_{name}.py": "gymnasium" for name in ("games", "maskable", "sb3")},
     "glue/openenv/test_openenv.py": "openenv",
     "jails": "containers",
     "model": "model",

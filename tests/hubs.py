@@ -11,11 +11,15 @@ from glue import connect, serve_agent, serve_environment
 from glue.engine.experiment import Experiment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
+from glue.pace import Pace
 from glue.roles import AgentLike, EnvironmentLike
 
 Player = AgentLike | EnvironmentLike
 Players = Player | Mapping[str, AgentLike] | Mapping[str, EnvironmentLike]
 """A player, or the players of one role by session name."""
+
+
+_WAITING = Pace()
 
 
 @contextmanager
@@ -36,15 +40,17 @@ def _serve(player: Any, url: str) -> None:
 
 
 @contextmanager
-def hub_with(*players: Players, bind: str = "tcp://127.0.0.1:*") -> Iterator[str]:
+def hub_with(*players: Players, bind: str = "tcp://127.0.0.1:*", pace: Pace = _WAITING) -> Iterator[str]:
     """Serve players at a hub; yield its address."""
-    hub = Hub(HubConfig(bind=(bind,), greeting=60.0))
+    hub = Hub(HubConfig(bind=(bind,), greeting=60.0, pace=pace))
     with serving(hub.endpoints[0], *players), hub.in_background():
         yield hub.endpoints[0]
 
 
 @contextmanager
-def over_the_hub(agent: AgentLike, environment: EnvironmentLike) -> Iterator[Experiment]:
+def over_the_hub(
+    agent: AgentLike, environment: EnvironmentLike, *, pace: Pace = _WAITING
+) -> Iterator[Experiment]:
     """Yield an experiment with these players; all three are connected by a hub."""
-    with hub_with(agent, environment) as address, connect(address) as glue:
+    with hub_with(agent, environment, pace=pace) as address, connect(address) as glue:
         yield glue

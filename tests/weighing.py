@@ -10,7 +10,6 @@ from enum import Enum
 from types import GeneratorType, MethodType
 from typing import Any, Final, NamedTuple
 
-from glue.hub import session
 from glue.hub.channel import Memory
 from glue.hub.config import Bind, HubConfig, Keys
 from glue.hub.io import channels
@@ -71,7 +70,7 @@ def check_sessions(sessions: Sessions, connections: Iterable[Any] = ()) -> None:
         if isinstance(holder, channels._SocketChannel) and holder.connection._glanced:
             truth -= len(holder.connection._glanced)  # it has just been read, and is acted on at once
         assert truth <= held, f"{holder} weighs {truth} bytes and accounts for {held}"
-        spare = session._BASE if isinstance(holder, Session) else _SPARE + len(its) * channels._PEER
+        spare = holder._base if isinstance(holder, Session) else _SPARE + len(its) * channels._PEER
         assert held <= truth * 9 // 8 + spare, f"{holder} accounts for {held} bytes and weighs {truth}"
     assert sessions.memory.total == sum(account.values())
     gone = [holder for holder in account if holder not in found]

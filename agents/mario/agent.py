@@ -10,11 +10,13 @@ import abc
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Final
 
+import numpy as np
+
 from glue.errors import ConfigError, TaskSpecError
 from glue.options import Option
 from glue.roles import Agent
-from glue.taskspec import MARIO, parse_task_spec
-from glue.types import Action
+from glue.taskspec import MARIO, legal_values, parse_task_spec
+from glue.types import Action, BoolArray, Observation
 
 LEFT: Final = -1
 STAY: Final = 0
@@ -33,6 +35,16 @@ ACTIONS: Final = tuple(
 def action_number(direction: int, jump: bool, run: bool) -> int:
     """Return the number of an action, 0 to 11."""
     return 4 * (direction + 1) + 2 * int(jump) + int(run)
+
+
+def legal_actions(observation: Observation) -> BoolArray:
+    """Return which actions are legal by their numbers, shape (12,): all without a mask.
+
+    Raises:
+        RemoteProtocolError: the mask is not one of Mario's actions.
+    """
+    direction, jump, run = legal_values(observation, (3, 2, 2))
+    return np.logical_and.outer(np.logical_and.outer(direction, jump), run).reshape(NUM_ACTIONS)
 
 
 Seed = Annotated[int | None, Option("random seed; the experiment's if not given", low=0)]

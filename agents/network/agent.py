@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents.mario.agent import ACTIONS, NUM_ACTIONS, MarioAgent
+from agents.mario.agent import ACTIONS, NUM_ACTIONS, MarioAgent, legal_actions
 from agents.network.features import FEATURES, NONE, RECENT, Reals, features, remember, tiles_and_sprites
 from glue.errors import ConfigError
 from glue.options import Option
@@ -39,6 +39,7 @@ class NetworkAgent(MarioAgent):
     """
 
     name: ClassVar[str] = "network"
+    agent_masks = True
 
     def __init__(
         self,
@@ -80,6 +81,8 @@ class NetworkAgent(MarioAgent):
         if not self._greedy:
             # The largest after adding Gumbel noise is a draw from the softmax.
             preferred = preferred + self._generator.gumbel(size=NUM_ACTIONS)
+        if observation.packed_mask:
+            preferred = np.where(legal_actions(observation), preferred, -np.inf)
         action = int(preferred.argmax())
         remember(self._recent, action)
         return ACTIONS[action]

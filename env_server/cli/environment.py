@@ -12,6 +12,7 @@ from glue.wire.messages import Role
 
 if TYPE_CHECKING:
     from env_server.render.live import Rendered
+    from glue.engine.checking import CheckedActions
     from glue.roles import Environment
 
 
@@ -25,6 +26,13 @@ def _rendered(player: Environment, _: bool) -> Rendered:
     return live.Rendered(player, screen)
 
 
+def _checked(player: Environment, _: bool) -> CheckedActions:
+    """Return `player`, which refuses illegal actions."""
+    from glue.engine.checking import CheckedActions
+
+    return CheckedActions(player)
+
+
 def _print_level(player: Any, seed: int) -> NoReturn:
     """Print the level of a seed instead of serving."""
     sys.stdout.write(player.level_template(seed))
@@ -36,6 +44,14 @@ environment: click.Group = player_command(
     "  glue-env mario --render\n"
     "  glue-env mario --level-difficulty 1\n"
     "  glue-env mines --random-start --hub tcp://127.0.0.1:5000",
+    Extra(
+        click.Option(
+            ["--check-actions", "_check_actions"],
+            is_flag=True,
+            help="Refuse an action that the task spec or the mask of the last observation forbids.",
+        ),
+        _checked,
+    ),
     Extra(
         click.Option(["--render", "_render"], is_flag=True, help="Draw it in this terminal as it is played."),
         _rendered,

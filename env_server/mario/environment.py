@@ -11,6 +11,13 @@ Messages that `env_message` answers:
 
 A level that is read from a file cannot be changed, and `level` answers level_digest=SHA-256.
 
+With the option `extras`, each observation has extras, which agents do not see:
+
+    coins, kills   since the beginning of the episode
+    distance       of Mario from the left end of the level, in tiles
+    death          enemy, fall or time (of the step limit); empty while he lives, and at the goal
+    mode           small, large or fire
+
 docs/mario.md is for authors of agents.
 Source: RL-Competition 2009; Mohan (2010), appendix A.
 """
@@ -30,6 +37,7 @@ from env_server.mario.game import Game
 from env_server.mario.parameters import Parameters, resolve
 from env_server.mario.pictures import read_picture, write_picture
 from env_server.mario.saving import State, pack_state, unpack_state
+from env_server.mario.sim.state import ROWS
 from glue.console import did_you_mean
 from glue.errors import ConfigError, SaveError, SimulatorError
 from glue.options import Value, parameters, parse_assignments
@@ -41,6 +49,10 @@ _IN_A_FILE: Final = (*_LEVEL, "level_width")
 _BUTTONS: Final = ("button_left", "button_right", "button_jump", "button_run")
 _ACTIONS: Final = {Action(ints=buttons).body: buttons for buttons in product((-1, 0, 1), (0, 1), (0, 1))}
 """Every legal action, by its bytes; looking up an action also checks it."""
+_TILE: Final = 16  # pixels
+_FIELDS: Final = [
+    "coins", "kills", "large", "fire", "steps", "max_trial_steps", "death_timer", "win_timer",
+]  # fmt: skip
 _DIMENSIONS: Final = (("direction", -1, 1), ("jump", 0, 1), ("run", 0, 1))
 
 
@@ -63,6 +75,7 @@ class InfiniteMario(Environment):
     Options: ClassVar[type] = tasks.Options
 
     def __init__(self, **options: Value | None) -> None:
+        self.env_extras: bool = _check({"extras": options.pop("extras", None) or False})["extras"]
         self._task = check_parameters(options)
         self._parameters = self._task
         self._game: Game | None = None
@@ -115,7 +128,7 @@ class InfiniteMario(Environment):
         Raises:
             SimulatorError: env_init has not been called yet.
         """
-        return self.game.start()
+        return self._shown(self.game.start())
 
     def env_step(self, action: Action) -> Step:
         """Hold the buttons of `action` for five ticks.
@@ -123,7 +136,8 @@ class InfiniteMario(Environment):
         Raises:
             SimulatorError: the action is out of bounds or misshapen, or no episode is being played.
         """
-        return Step(*self.game.step(*self.buttons_of(action)))
+        reward, observation, terminal = self.game.step(*self.buttons_of(action))
+        return Step(reward, self._shown(observation), terminal)
 
     @staticmethod
     def buttons_of(action: Action) -> tuple[int, int, int]:
@@ -193,6 +207,12 @@ class InfiniteMario(Environment):
         game.start()
         return write_picture(game.level_map)
 
+    def _shown(self, observation: Observation) -> Observation:
+        if not self.env_extras:
+            return observation
+        parts = observation.ints, observation.doubles, observation.chars
+        return Observation(*parts, extras=_extras(self.game.world))
+
     @property
     def _level(self) -> tuple[int, ...]:
         return tuple(getattr(self._parameters, name) for name in _LEVEL)
@@ -213,6 +233,8 @@ def check_parameters(options: Mapping[str, Any]) -> Parameters:
         ConfigError: the file of a level holds none.
     """
     given = _check({name: value for name, value in options.items() if value is not None})
+    if "extras" in given:
+        raise SimulatorError("only the environment mario itself has extras: leave out extras")
     instance, mdp = given.pop("instance", 0), given.pop("mdp", None)
     if instance and mdp:
         raise SimulatorError(f"instance {instance} and mdp {mdp} are two tasks: leave out one")
@@ -241,6 +263,23 @@ def _check(values: Mapping[str, Any]) -> dict[str, Any]:
     if checked.get("start_ticks", 5) not in (5, 10):
         raise SimulatorError(f"option start_ticks must be 5 or 10 ticks, not {checked['start_ticks']}")
     return checked
+
+
+def _extras(world: Any) -> dict[str, int | float | str]:
+    # Many fields at once: one by one, as attributes of the record, they take five times as long.
+    coins, kills, large, fire, steps, limit, dying, winning = world[_FIELDS].item()
+    mario = world["actors"][0]
+    death = ""
+    if dying and not winning:
+        fallen = mario["y"] > _TILE * (ROWS + 1)
+        death = "time" if steps >= limit else "fall" if fallen else "enemy"
+    return {
+        "coins": coins,
+        "kills": kills,
+        "distance": float(mario["x"]) / _TILE,
+        "death": death,
+        "mode": "fire" if fire else "large" if large else "small",
+    }
 
 
 def _parse_level(assignments: list[str]) -> dict[str, Any]:

@@ -104,6 +104,7 @@ class _Published:
     ] = None
     level: Annotated[str | None, Option("file of a level, a text picture, in place of a seed")] = None
     level_digest: Annotated[str | None, Option("SHA-256 that this file must have, in hexadecimal")] = None
+    extras: Annotated[bool, Option("tell the experiment of coins, kills, distance, death and mode")] = False
 
 
 def _optional(field: Field[Any]) -> tuple[str, Any, Any]:

@@ -13,9 +13,11 @@ import numpy as np
 from experiment_runner.analysis.curves import StepTotals, per_step, step_returns
 from experiment_runner.analysis.stats import FloatArray, mean_of_last
 from experiment_runner.plan.ids import REMOTE
+from experiment_runner.plan.limits import PACE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.store.extras import extras_of
 from experiment_runner.store.readings import NO_METRIC, Metric
-from experiment_runner.store.records import TOTAL_REWARD, TrialRecord
+from experiment_runner.store.records import MEASURES, TOTAL_REWARD, TrialRecord
 from experiment_runner.store.results import Results
 from glue.console import one_line
 from glue.errors import ExperimentError
@@ -102,7 +104,7 @@ def collect(runs: Iterable[Results], measure: str = "return", metric: str = "") 
 
     Args:
         runs: open for reading.
-        measure: name of one of `experiment_runner.store.records.MEASURES`, or `REWARD`.
+        measure: name of one of `experiment_runner.store.records.MEASURES`, of an extra's column, or `REWARD`.
         metric: name of a metric of the agent; empty for none.
 
     Raises:
@@ -159,7 +161,10 @@ def _read(run: Results, trial: TrialRecord, measure: str, metric: str) -> _Trial
         if total.steps.size:
             return _Trial(trial, np.diff(total.values, prepend=0.0), np.diff(total.steps, prepend=0.0), found)
         return _Trial(trial, run.measure(name, "return"), run.measure(name, "steps"), found)
-    values = run.measure(name, measure)
+    if measure in MEASURES:
+        values = run.measure(name, measure)
+    else:
+        values = extras_of(run, trial.spec).get(measure, np.empty(0))
     if trial.spec.steps and run.cut_by_budget(name):
         values = values[: trial.done - 1]
     return _Trial(trial, values, run.measure(name, "steps"), found)
@@ -175,7 +180,8 @@ def _fields(role: RoleSpec | None) -> dict[str, object]:
 
 def _limits(spec: TrialSpec) -> dict[str, object]:
     limits: dict[str, object] = {"episodes": spec.episodes, "max_steps": spec.max_steps}
-    return limits | ({"steps": spec.steps} if spec.steps else {})
+    limits |= {"steps": spec.steps} if spec.steps else {}
+    return limits | ({name: getattr(spec.pace, name) for name in PACE} if spec.pace else {})
 
 
 def _names(described: Sequence[tuple[str, Mapping[str, object]]]) -> list[str]:

@@ -14,7 +14,14 @@ from experiment_runner.cli.options import backend_options, check_backend
 from experiment_runner.plan.limits import CHECKPOINT_EVERY, COUNTS, PLAYERS, Backend
 from experiment_runner.view.launch import check_view
 from glue import __version__
-from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, keys_option, legacy_port_option
+from glue.cli.shared import (
+    HUB_KEY_SETTINGS,
+    KEY_SETTINGS,
+    WAIT_VARIABLE,
+    keys_option,
+    legacy_port_option,
+    pace_options,
+)
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.plugins.naming import NamingCommand, complete_names
@@ -24,14 +31,17 @@ _ALL: Final = f"{__name__}.all"
 _GROUPS: Final = {
     "Episodes and their results": (
         "--any-reward",
+        "--check-actions",
         "--checkpoint-every",
         "--record",
         "--ask",
         "--metrics-every",
+        "--metric",
         "--view",
         "--dry-run",
         "--trust",
     ),
+    "An environment that does not wait": ("--rate", "--late", "--delay"),
     "A cluster": ("--engine", "--address", "--sbatch"),
     "Players from outside": ("--bind", "--legacy-port", "--keys", "--insecure"),
     "A running hub": ("--hub", "--session", "--key", "--hub-key", "--wait"),
@@ -142,6 +152,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     metavar="FILE",
     help="Plan in TOML; the five numbers above override it.",
 )
+@pace_options
 @click.option("--in-process", is_flag=True, help="Players as objects, without a hub: fastest.")
 @click.option(
     "--inside",
@@ -217,6 +228,11 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     help="Accept rewards that are infinite or NaN; otherwise the first one ends the trial.",
 )
 @click.option(
+    "--check-actions",
+    is_flag=True,
+    help="End the trial at an action that the task spec or the observation's mask forbids.",
+)
+@click.option(
     "--checkpoint-every",
     type=click.IntRange(0),
     metavar="N",
@@ -242,6 +258,13 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     type=click.IntRange(0),
     metavar="N",
     help="Record the agent's own numbers every N steps, 0 for after each episode.",
+)
+@click.option(
+    "--metric",
+    multiple=True,
+    metavar="EXTRA=HOW",
+    help="Record a number that the environment attaches to its steps, such as mario.coins=last: an episode's "
+    "first, last, sum, mean, min or max; repeat it for several.",
 )
 @click.option(
     "--view",
@@ -281,7 +304,8 @@ def experiment(**settings: Any) -> int:
         plan, given = planned(options)
         inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
         roles = frozenset(PLAYERS[player] for player in inside)
-        placement = Placement(roles, hub_options(options), any_reward=options.any_reward)
+        checks = {"any_reward": options.any_reward, "check_actions": options.check_actions}
+        placement = Placement(roles, hub_options(options), **checks)
         backend = Backend(options.engine)
         config = RunConfig(
             placement,
@@ -291,6 +315,7 @@ def experiment(**settings: Any) -> int:
             options.address,
             questions=tuple(dict.fromkeys(options.ask)),
             metrics=plan.metrics,
+            extras=plan.extras,
         )
         check_backend(config)
         check_players(config, plan)

@@ -17,9 +17,10 @@ from click.core import ParameterSource
 
 from experiment_runner.executors.opening import recorded_plan
 from experiment_runner.executors.settings import HubOptions
+from experiment_runner.plan.extras import Summary, parse_extras
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.ids import REMOTE
-from experiment_runner.plan.limits import BUDGETS, COUNTS, PLAYERS, Backend
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE, PLAYERS, Backend
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, absolute, budget, check_options, class_files
 from experiment_runner.plan.toml import naming_lines, read
@@ -48,9 +49,12 @@ def planned(options: SimpleNamespace) -> tuple[Plan, Path | None]:
             "their options into the plan, below [agents.NAME] or [environments.NAME], instead of giving "
             "--agent-option and --env-option"
         )
-    counts = {name: value for name in COUNTS if (value := getattr(options, name)) is not None}
+    given = {name: getattr(options, name) for name in (*COUNTS, *PACE)}
+    counts = {name: value for name, value in given.items() if value is not None}
     if options.metrics_every is not None:
         counts["metrics"] = MetricsPlan(options.metrics_every)
+    if options.metric:
+        counts["extras"] = _extras(options.metric)
     roles = {
         "environments": role_sweeps(Role.ENVIRONMENT, options.environment, options.env_option),
         "agents": role_sweeps(Role.AGENT, options.agent, options.agent_option),
@@ -120,6 +124,17 @@ def hub_options(options: SimpleNamespace) -> HubOptions:
 def _from_variable(option: str) -> bool:
     """Return whether an option was set by an environment variable."""
     return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
+
+
+def _extras(metrics: Iterable[str]) -> dict[str, Summary]:
+    pairs = [metric.rpartition("=") for metric in metrics]
+    for name, _, how in pairs:
+        if not name:
+            raise ConfigError(f"a metric is an extra and what is recorded of it, as in coins=last, not {how}")
+    try:
+        return parse_extras({name: how for name, _, how in pairs})
+    except ExperimentError as error:
+        raise ConfigError(str(error)) from None
 
 
 def role_sweeps(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:

@@ -47,9 +47,11 @@ def _size(context: click.Context, parameter: click.Parameter, text: str | None) 
 )
 @click.option(
     "--measure",
+    "--y",
     default="return",
     show_default=True,
-    help="Column of the episodes that is plotted or, with --over steps, reward: the reward per step.",
+    help="Column of the episodes that is plotted, also an extra of the environment or, with --over steps, "
+    "reward: the reward per step.",
 )
 @click.option("--metric", default="", metavar="NAME", help="Plot a metric of the agents, over steps.")
 @over_option
@@ -112,13 +114,11 @@ def plot(
     )
     from experiment_runner.report.sketch import sketches
     from experiment_runner.report.tables import counted
+    from experiment_runner.store.extras import extra_columns
     from experiment_runner.store.records import MEASURES
     from experiment_runner.store.results import Results
 
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
-    known = [*MEASURES, *([REWARD] if over == "steps" else [])]
-    if measure not in known:
-        raise click.UsageError(f"there is no measure {measure}{did_you_mean(measure, known)}")
     if out is None and (kind != "curves" or over == "steps"):
         raise click.UsageError(f"--kind {kind} --over {over} needs a file: --out {kind}.png")
     tolerance = band == "tolerance"
@@ -132,6 +132,10 @@ def plot(
         raise click.UsageError("--metric draws curves and needs a file: --out metric.png")
     with ExitStack() as stack:
         runs = [stack.enter_context(Results.open(directory)) for directory in directories]
+        extras = dict.fromkeys(name for run in runs for name in extra_columns(run))
+        known = [*MEASURES, *extras, *([REWARD] if over == "steps" else [])]
+        if measure not in known:
+            raise click.UsageError(f"there is no measure {measure}{did_you_mean(measure, known)}")
         names = dict.fromkeys(name for run in runs for name in run.metric_names())
         if metric and metric not in names:
             near = did_you_mean(metric, names) or (
@@ -141,7 +145,8 @@ def plot(
         found = selected(collect(runs, measure, metric), select)
     layout = Layout(title, size, columns or 0)
     settings = [setting for setting in found if setting.curves().size]
-    rng, label = bootstrap_rng(), "reward per step" if measure == REWARD else MEASURES[measure].label
+    labels = {REWARD: "reward per step", **{name: known.label for name, known in MEASURES.items()}}
+    rng, label = bootstrap_rng(), labels.get(measure, measure)
     last = window or 100
     totals = {(s.environment, s.agent): s.step_totals() for s in settings} if over == "steps" else {}
     if totals:

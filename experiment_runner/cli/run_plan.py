@@ -194,6 +194,8 @@ def resume_options(store: Store, config: RunConfig) -> list[str]:
         command += [f"--inside={flag}" for flag, role in PLAYERS.items() if role in config.placement.inside]
     if config.placement.any_reward:
         command.append("--any-reward")
+    if config.placement.check_actions:
+        command.append("--check-actions")
     command += [f"--ask={question}" for question in config.questions]
     if class_files([role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]):
         command.append("--trust")
@@ -207,6 +209,12 @@ def check_players(config: RunConfig, plan: Plan) -> None:
         ConfigError: they cannot.
     """
     inside = config.placement.inside
+    if plan.pace and config.placement.hub.hub is not None:
+        raise ConfigError("a running hub has its own pace: give --rate, --late and --delay to glue-hub")
+    if plan.rate and inside == {Role.AGENT}:
+        raise ConfigError(
+            "an agent in the process of the hub would keep the environment waiting: leave out --inside agent"
+        )
     if (
         inside
         and not (config.parallel or config.placement.in_process)

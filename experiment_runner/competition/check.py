@@ -97,11 +97,12 @@ def _checked(
         if first is None and problem is not None:
             first = f"task {task.name}: {problem}"
         lines += [
-            f"task {task.name}, {EPISODES} episodes of the environment {task.env} with a public level: "
-            + (problem or "all were played"),
+            f"task {task.name}, {EPISODES} episodes of the environment {task.env} with a public level"
+            f"{task.pace}: " + (problem or "all were played"),
             *(
                 f"episode {result.episode}: return {result.episode_return:.6g} in {result.steps} steps, "
                 f"{1000 * result.wall_time / max(result.steps, 1):.2f} ms per step"
+                + (f", {result.late:.0f} actions late" if task.rate else "")
                 for result in episodes
             ),
             *([] if used is None else [in_words(used, limits)]),

@@ -231,6 +231,7 @@ def _rules(competition: Competition) -> dict[str, object]:
         "trials": competition.trials,
         "tasks": {task.name for task in competition.tasks},
         "episodes or steps": [(task.name, task.episodes, task.steps) for task in competition.tasks],
+        "rate or late": [(task.name, task.pace) for task in competition.tasks],
         "phases": [(task.name, task.phase, task.hidden) for task in competition.tasks],
     }
 

@@ -46,6 +46,7 @@ class RecordedEnvironment(Environment):
         failure: the environment's own error; None if there was none.
         steps: number of steps carried out.
         episodes: number of episodes played to their end.
+        num_late: returns the number of the agent's late actions in the current episode.
 
     Raises:
         PeerFailed: a method of the role is missing.
@@ -63,6 +64,7 @@ class RecordedEnvironment(Environment):
         self.failure: str | None = None
         self.steps: int = 0
         self.episodes: int = 0
+        self.num_late: Callable[[], int] = lambda: 0
         self._calls = role_calls(Role.ENVIRONMENT, environment)
         self._record = record
         self._spec = spec
@@ -128,7 +130,8 @@ class RecordedEnvironment(Environment):
             # RL_num_steps counts observations, of which a terminal step has none.
             steps = self.steps - self._first_step + (not terminal)
             seconds = time.perf_counter() - self._began
-            self._ended(EpisodeResult(self.episodes, self._return, steps, terminal, seconds))
+            late = self.num_late()
+            self._ended(EpisodeResult(self.episodes, self._return, steps, terminal, seconds, late))
 
     def _record_step(self, body: bytes, reward: float) -> None:
         self._bytes += len(body)

@@ -177,11 +177,18 @@ class _Playing:
                 bind = Bind(launch.hub, frozenset({Role.AGENT}), frozenset({session}))
             else:
                 bind = gate_for(match.entrant, match.gate)
-            config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits)
+            config = HubConfig(
+                bind=(bind,),
+                max_sessions=1,
+                max_memory=_MAX_MEMORY,
+                time=match.limits,
+                pace=match.spec.pace,
+            )
             with ExitStack() as joined:
                 hub = joined.enter_context(
                     Hub(config, clock=self._clock, processor=self._processor).in_background()
                 )
+                self._environment.num_late = partial(hub.sessions.num_late, session)
                 transport = InsideTransport(hub, {Role.ENVIRONMENT: self._environment}, session)
                 glue = joined.enter_context(connect_over(transport, session, on_notice=self._notice))
                 running = self._running = starter.start(match.entrant, match.limits, launch)

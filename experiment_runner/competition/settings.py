@@ -16,6 +16,7 @@ from msgspec import Meta
 from experiment_runner.plan.toml import SettingError, converted, is_option, naming_lines, parse, read, shown
 from glue.errors import ConfigError, ExperimentError
 from glue.hub.config import TimeLimits
+from glue.pace import REPEAT, Pace
 from glue.plugins.loading import located
 
 _MEBIBYTE: Final = 2**20
@@ -67,6 +68,8 @@ class Task:
         max_steps: the step limit of an episode, see `Experiment.rl_episode`; 0 for none. RL_num_steps is 1
             before the first step, so the least limit is 2.
         levels: files of the levels of its trials, the first again after the last; none if a seed is drawn.
+        rate: steps per second of an environment that does not wait for its agent; 0 if it does.
+        late: what is carried out while the agent is late, see `glue.pace.Pace`.
         phase: `proving` if it is played in the season, `testing` if afterwards.
         hidden: whether its scores are told only when the season is closed; of a proving task.
     """
@@ -78,8 +81,15 @@ class Task:
     steps: _Count = 0
     max_steps: Annotated[int, Meta(ge=2, lt=2**31)] = 0
     levels: tuple[Path, ...] = ()
+    rate: float = 0.0
+    late: str = REPEAT
     phase: Literal["proving", "testing"] = "testing"
     hidden: bool = False
+
+    @property
+    def pace(self) -> Pace:
+        """The pace of its environment."""
+        return Pace(self.rate, self.late)
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,6 +354,10 @@ def _season(table: object, folder: Path) -> Season:
 def _task(name: str, table: object, folder: Path) -> Task:
     where = ("tasks", name)
     task = converted(Task, table, f"task {name}", *where, base=folder, name=name)
+    try:
+        task.pace  # noqa: B018  # checks both
+    except ConfigError as error:
+        raise SettingError(f"task {name}: {error}", *where, *error.settings[:1]) from None
     if task.hidden and task.phase != "proving":
         raise SettingError(f"task {name} is played once, so its scores are hidden anyway", *where, "hidden")
     if (task.episodes == 0) == (task.steps == 0):

@@ -137,6 +137,7 @@ class Level(NamedTuple):
             episodes=self.task.episodes or self.task.steps,  # an episode has at least one step
             max_steps=self.task.max_steps,
             seed=self.seed,
+            pace=self.task.pace,
         )
 
 
@@ -196,9 +197,8 @@ def public_trial(task: Task, entrant: str, episodes: int, max_steps: int) -> Tri
         ConfigError: as `trials`.
     """
     environment = _environment(task, None)
-    return TrialSpec(
-        TrialId.of(entrant, task.name, 0), RoleSpec(entrant), environment, episodes, max_steps, 0
-    )
+    trial, agent = TrialId.of(entrant, task.name, 0), RoleSpec(entrant)
+    return TrialSpec(trial, agent, environment, episodes, max_steps, 0, pace=task.pace)
 
 
 def agent_seed(spec: TrialSpec) -> int:

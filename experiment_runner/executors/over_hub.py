@@ -34,6 +34,7 @@ from glue.hub.io.server import Hub, renewed_on_hangup
 from glue.keys.allowed import HUB, read_keys
 from glue.keys.certificates import PUBLIC, SECRET
 from glue.legacy.gateway import Gateway, open_legacy_port
+from glue.pace import Pace
 from glue.plugins.loading import example
 from glue.wire.messages import Event, Role
 
@@ -121,10 +122,10 @@ def over_hub(
                 on_notice=notice,
             )
         else:
-            hub, url, show_missing = _start_hub(stack, placement, expected, named.keys(), say)
-            steps = partial(hub.sessions.num_steps, session)
+            hub, url, show_missing = _start_hub(stack, placement, expected, named.keys(), spec.pace, say)
+            steps, late = (partial(f, session) for f in (hub.sessions.num_steps, hub.sessions.num_late))
             transport = InsideTransport(hub, inside, session)
-            glue = connect_over(transport, session, on_notice=notice, num_steps=steps)
+            glue = connect_over(transport, session, on_notice=notice, num_steps=steps, num_late=late)
         stack.enter_context(glue)
         if options.key is None:  # observers would need a key
             send(AtHub(url, session))
@@ -132,7 +133,8 @@ def over_hub(
             for role, player in named.items():
                 if role not in inside:
                     place = {"hub": url, "session": session, "key": options.key, "hub_key": options.hub_key}
-                    given = {"options": player.options, "any_reward": placement.any_reward, "place": place}
+                    checks = {"any_reward": placement.any_reward, "check_actions": placement.check_actions}
+                    given = {"options": player.options, "place": place, **checks}
                     child = KeptAlive(
                         f"{role} {player.label}",
                         player_command.MODULE,
@@ -152,14 +154,19 @@ def over_hub(
 
 
 def _start_hub(
-    stack: ExitStack, placement: Placement, expected: frozenset[Role], named: Collection[Role], say: Say
+    stack: ExitStack,
+    placement: Placement,
+    expected: frozenset[Role],
+    named: Collection[Role],
+    pace: Pace,
+    say: Say,
 ) -> tuple[Hub, str, Callable[[Set[Role]], None]]:
     """Start a hub; return it, its URL for our children, and the function that shows hints."""
     options = placement.hub
     inside = f"ipc://{stack.enter_context(scratch_folder())}/{SOCKET}"
     # A named role is reserved for our own child: only the child can reach the inside address.
     binds = _binds(options, bool(expected), expected or frozenset({Role.OBSERVER}))
-    config = HubConfig(bind=(inside, *binds), insecure=options.insecure)
+    config = HubConfig(bind=(inside, *binds), insecure=options.insecure, pace=pace)
     hub = stack.enter_context(Hub(config, opened=placement.opened))
     if binds and options.keys is not None:
         stack.enter_context(renewed_on_hangup(hub, options.keys))

@@ -2,8 +2,9 @@
 
     python -P -m experiment_runner.executors.player_command ROLE NAME SETTINGS
 
-SETTINGS is JSON: the player's `options`, whether an environment may give `any_reward`, and the `place` of its
-hub, as `serve_agent` takes it. `glue-agent` and `glue-env` do the same for users.
+SETTINGS is JSON: the player's `options`, whether an environment may give `any_reward` and has to
+`check_actions`, and the `place` of its hub, as `serve_agent` takes it. `glue-agent` and `glue-env` do the
+same for users.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import glue.system.forks  # noqa: F401  # for the handlers that are set here
 from experiment_runner.executors.rewards import FiniteRewards
 from glue.client.players import serve_agent, serve_environment
 from glue.console import LOG, leave_printing_to_others, say
+from glue.engine.checking import CheckedActions
 from glue.errors import GlueError, PeerFailed
 from glue.plugins.loading import construct, find
 from glue.wire.messages import Role
@@ -59,7 +61,9 @@ def _serve(role: Role, player: Any, settings: Mapping[str, Any]) -> None:
         serve_agent(player, **settings["place"])
     else:
         checked = player if settings["any_reward"] else FiniteRewards(player)
-        serve_environment(checked, **settings["place"])
+        serve_environment(
+            CheckedActions(checked) if settings["check_actions"] else checked, **settings["place"]
+        )
 
 
 def _fail(error: GlueError) -> NoReturn:

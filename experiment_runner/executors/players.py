@@ -6,6 +6,7 @@ Players that a trial names are created here, as objects or as child processes; s
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
@@ -14,6 +15,7 @@ from experiment_runner.executors.job import Report
 from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.executors.settings import Placement
 from experiment_runner.plan.plan import TrialSpec
+from glue.engine.checking import CheckedActions
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ExperimentError
@@ -47,7 +49,9 @@ def open_experiment(
 @contextmanager
 def _in_process(spec: TrialSpec, placement: Placement) -> Iterator[Experiment]:
     players = players_inside(spec, placement)
-    with local(players[Role.AGENT], players[Role.ENVIRONMENT]) as glue:
+    with local(
+        players[Role.AGENT], players[Role.ENVIRONMENT], pace=spec.pace, clock=time.perf_counter
+    ) as glue:
         yield glue
 
 
@@ -61,4 +65,6 @@ def players_inside(spec: TrialSpec, placement: Placement) -> dict[Role, Any]:
             players[role] = construct(find(role, player.name), player.options)
     if Role.ENVIRONMENT in players and not placement.any_reward:
         players[Role.ENVIRONMENT] = FiniteRewards(players[Role.ENVIRONMENT])
+    if Role.ENVIRONMENT in players and placement.check_actions:
+        players[Role.ENVIRONMENT] = CheckedActions(players[Role.ENVIRONMENT])
     return players

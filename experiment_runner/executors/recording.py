@@ -1,4 +1,4 @@
-"""Recording more of a trial than its results: every step, and the agent's metrics.
+"""Recording more of a trial than its results: every step, the agent's metrics, and the environment's extras.
 
 The steps are recorded in a file that `glue-replay` reads (docs/trajectories.md). The file contains every
 episode that counts once, in order, and also those that became void because a player was lost. Episodes that
@@ -7,12 +7,13 @@ players only repeat to restore their state are not recorded.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from experiment_runner.executors.extras import Extras
 from experiment_runner.executors.job import BEGINNING, Start
-from experiment_runner.plan.metrics import ALL, MetricsPlan
+from experiment_runner.plan.metrics import ALL, Keep, MetricsPlan
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.readings import Part, pack_parts, unpack_parts
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult, Reading, ask
@@ -20,6 +21,7 @@ from glue.engine.engine import role_seed
 from glue.engine.experiment import Experiment, steps
 from glue.errors import GlueError, PeerLost, Unsupported
 from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
+from glue.types import Observation
 from glue.wire.messages import Role
 
 
@@ -105,7 +107,7 @@ class Recorder:
 
         Args:
             max_steps: step limit.
-            meter: reads the agent's metrics during the episode; None for none.
+            meter: reads metrics during the episode; None for none.
 
         Raises:
             PeerLost: a player was lost; the recording marks the episode as void.
@@ -134,8 +136,12 @@ class Recorder:
         self._answers.clear()
         self._ask()
         self._writer.start(observation)
+        if meter is not None:
+            meter.see(observation)
         for number, step in enumerate(steps(self._glue, max_steps), 1):
             self._ask()
+            if meter is not None:
+                meter.see(step.observation)
             ended = step.terminal and not step.truncated
             self._writer.step(action, step.reward, step.observation, ended)
             if ended:
@@ -155,63 +161,94 @@ class Recorder:
 
 
 class Meter:
-    """Reader of an agent's metrics in a trial and, if they are read during episodes, of the total reward.
+    """Reader of an agent's metrics in a trial, and of the environment's extras.
+
+    If metrics are read during episodes, the total reward is, too.
 
     Args:
         glue: the experiment.
-        plan: the readings to take.
+        plan: the readings of metrics to take; None for none.
         start: of the trial.
+        extras: reads the environment's extras; None for none.
 
     Attributes:
-        each_step: whether metrics are read during episodes.
+        each_step: whether something is read during episodes.
         missing: why there are no metrics; empty unless the agent turned out to have none.
 
     Raises:
         ExperimentError: the metrics of its checkpoint are damaged.
     """
 
-    def __init__(self, glue: Experiment, plan: MetricsPlan, start: Start = BEGINNING) -> None:
+    def __init__(
+        self,
+        glue: Experiment,
+        plan: MetricsPlan | None,
+        start: Start = BEGINNING,
+        extras: Extras | None = None,
+    ) -> None:
         self._glue = glue
         self._plan = plan
+        self._every = 0 if plan is None else plan.every
+        self._extras = extras
         self._steps = start.steps
         self._reward = start.reward
         saved = start.checkpoint.metrics if start.checkpoint else b""
         self._before = unpack_parts(saved)  # the parts before the episode under way
         self._parts = dict(self._before)
         self._readings: list[Reading] = []
-        self.each_step: bool = plan.every > 0
+        self.each_step: bool = self._every > 0 or extras is not None
         self.missing: str = ""
 
     def begin(self) -> None:
         """Begin an episode; the readings of one that became void are dropped."""
         self._readings = []
         self._parts = dict(self._before)
+        if self._extras is not None:
+            self._extras.begin()
 
     def rl_episode(self, max_steps: int) -> bool:
         """Run an episode like `Experiment.rl_episode`, with the readings that are due during it."""
+        if self._extras is not None:
+            return self._by_steps(max_steps)
         self._glue.rl_start()
         step, terminal = 0, None
         while terminal is None and (max_steps == 0 or step + 1 < max_steps):
-            step += self._plan.every - (self._steps + step) % self._plan.every
+            step += self._every - (self._steps + step) % self._every
             # RL_num_steps is 1 after the start, and stays as it is at the end of the episode.
             terminal = self._glue.rl_go_on(min(step + 1, max_steps or step + 1))
             if not terminal and self._glue.rl_num_steps() == step + 1:
                 self.after(step)
         return bool(terminal)
 
+    def _by_steps(self, max_steps: int) -> bool:
+        self.see(self._glue.rl_start().observation)
+        for number, step in enumerate(steps(self._glue, max_steps), 1):
+            self.see(step.observation)
+            if step.terminal and not step.truncated:
+                return True
+            self.after(number)
+        return False
+
+    def see(self, observation: Observation) -> None:
+        """Take the extras of the episode's next observation."""
+        if self._extras is not None:
+            self._extras.see(observation)
+
     def after(self, step: int) -> None:
         """Read the metrics after a step of the episode, counted from 1, if they are due."""
         at = self._steps + step
-        if at % self._plan.every == 0:
-            self._read(at // self._plan.every, at, {TOTAL_REWARD: self._reward + self._glue.rl_return()})
+        if self._every and at % self._every == 0:
+            self._read(at // self._every, at, {TOTAL_REWARD: self._reward + self._glue.rl_return()})
 
     def end(self, result: EpisodeResult) -> tuple[Reading, ...]:
         """End an episode, with a reading of its last step if one is due; return all of its readings."""
-        if not self.each_step:
-            self._read(result.episode, self._steps + result.steps, {})
-        else:
+        if self._every:
             self.after(result.steps)
+        else:
+            self._read(result.episode, self._steps + result.steps, {})
         self._steps += result.steps
+        if self._extras is not None and (numbers := self._extras.numbers()):
+            self._readings.append(Reading(self._steps, numbers))
         self._reward += result.episode_return
         self._before = self._parts
         return tuple(self._readings)
@@ -222,6 +259,8 @@ class Meter:
 
     def _read(self, number: int, step: int, own: dict[str, float]) -> None:
         """Read the metrics for the `number`-th time, counted from 1, and add the trial's own."""
+        if self._plan is None:
+            return
         try:
             metrics = {} if self.missing else self._glue.rl_agent_metrics()
         except Unsupported as error:
@@ -229,15 +268,15 @@ class Meter:
         if TOTAL_REWARD in metrics:
             raise GlueError(f"the agent has a metric {TOTAL_REWARD!r}, which is the name of the trial's own")
         if self._plan.keep:
-            metrics = self._kept(number, metrics)
+            metrics = self._kept(self._plan.keep, number, metrics)
         if own or metrics:
             self._readings.append(Reading(step, {**own, **metrics} if own else metrics))
 
-    def _kept(self, number: int, metrics: dict[str, float]) -> dict[str, float]:
+    def _kept(self, keep: Mapping[str, Keep], number: int, metrics: dict[str, float]) -> dict[str, float]:
         """Return the values to keep, or means in their place."""
         kept = {}
         for name, value in metrics.items():
-            every, averaged = self._plan.keep.get(name, ALL)
+            every, averaged = keep.get(name, ALL)
             if averaged:
                 group = (number - 1) // every
                 part = self._parts.get(name)

@@ -166,7 +166,7 @@ def _specs(plan: Plan, sweep: RoleSweep, given: Mapping[str, object], numbers: r
                 for number in numbers:
                     seed = trial_seed(plan.seed, str(number))
                     name = TrialId.of(part, environment_part, number)
-                    specs.append(TrialSpec(name, agent, role, *limits, seed, plan.steps))
+                    specs.append(TrialSpec(name, agent, role, *limits, seed, plan.steps, plan.pace))
     return specs
 
 

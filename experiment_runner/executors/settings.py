@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from experiment_runner.plan.extras import Summary
 from experiment_runner.plan.limits import CHECKPOINT_EVERY, Backend
 from experiment_runner.plan.metrics import MetricsPlan
 from glue.hub.config import DEFAULT_SESSION, LegacyPort
@@ -59,6 +60,7 @@ class Placement:
         opened_legacy: the hub's ports for original RL-Glue programs that are already open.
         any_reward: whether rewards may be infinite or NaN; if not, the first such reward ends the trial, or
             the first such return with an environment from outside.
+        check_actions: whether a named environment refuses an action that its task spec or mask forbids.
     """
 
     inside: frozenset[Role] = frozenset()
@@ -66,6 +68,7 @@ class Placement:
     opened: Mapping[str, OpenAddress] = field(default_factory=dict)
     opened_legacy: Mapping[LegacyPort, OpenAddress] = field(default_factory=dict)
     any_reward: bool = False
+    check_actions: bool = False
 
     @property
     def in_process(self) -> bool:
@@ -86,6 +89,7 @@ class RunConfig:
         address: address of the Ray cluster; None for the one that Ray finds, or one on this machine.
         questions: messages to send to the agent after each episode, and each recorded step.
         metrics: the agents' metrics to record; None for none.
+        extras: the environments' extras to record, and as what; see `experiment_runner.plan.extras`.
         grace: seconds in which a running episode may end before Ctrl-C takes effect.
     """
 
@@ -96,6 +100,7 @@ class RunConfig:
     address: str | None = None
     questions: tuple[str, ...] = ()
     metrics: MetricsPlan | None = None
+    extras: Mapping[str, Summary] = field(default_factory=dict)
     grace: float = GRACE_SECONDS
 
     @property

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
+from experiment_runner.executors.extras import Extras
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import (
     Ended,
@@ -190,13 +191,15 @@ class _Trial:
         self._recorder = (
             Recorder(recording, job.spec, glue, config.questions) if recording is not None else None
         )
-        self._meter = Meter(glue, config.metrics, job.start) if config.metrics is not None else None
+        self._extras = Extras(config.extras, job.spec.environment_label) if config.extras else None
+        metered = config.metrics is not None or self._extras is not None
+        self._meter = Meter(glue, config.metrics, job.start, self._extras) if metered else None
         self._done = job.start.after
         self._steps = job.start.steps  # in the episodes done
         self._since: list[EpisodeResult] = []  # the episodes run after `start`, oldest first
         self._can_save: bool | None = None
         self._unsaved = ""  # the reason why no checkpoint can be taken
-        self._warned: set[str] = set()  # kinds of events that are reported once
+        self._warned: set[str] = set()  # texts of events that are reported once
 
     def run(self) -> None:
         with self._interrupts.deferred():
@@ -253,6 +256,8 @@ class _Trial:
         readings = self._meter.end(result)
         if self._meter.missing:
             self._warn("unmetered", f"no metrics are recorded: {self._meter.missing}")
+        for why in self._extras.missing() if self._extras is not None else ():
+            self._warn("unmetered", why)
         return readings
 
     def _void(self, error: PeerLost) -> None:
@@ -315,7 +320,8 @@ class _Trial:
         result, checkpoint, lost, every = played.result, None, False, self._config.checkpoint_every
         self._steps += result.steps
         last = self._spec.finished_by(result.episode, self._steps)
-        due = every > 0 and result.episode % every == 0
+        # What depends on a clock is not the same when it is repeated.
+        due = every > 0 and (result.episode % every == 0 or self._spec.pace.rate > 0)
         if not self._can_save:
             if due:
                 why = f"no checkpoints: {self._unsaved}; should the run be interrupted, it starts over"
@@ -347,8 +353,8 @@ class _Trial:
 
     def _warn(self, kind: str, text: str) -> None:
         """Report an event, once in the trial."""
-        if kind not in self._warned:
-            self._warned.add(kind)
+        if text not in self._warned:
+            self._warned.add(text)
             self._report(kind, text)
 
     def _report(self, kind: str, text: str) -> None:

@@ -24,7 +24,11 @@ role connects from outside.
 
 In place of `episodes`, `steps = 100000` gives each trial a budget of steps, which cuts off its last episode.
 
-`metrics_every` and a table `metrics` record the agents' own numbers: see `experiment_runner.plan.metrics`.
+With `rate = 24`, in steps per second, no environment waits for its agent: `late = "repeat"` or
+`late = "0,1"` says what is carried out while it is late. `delay = 2` carries actions out so many steps later.
+
+`metrics_every` and a table `metrics` record the agents' own numbers: see `experiment_runner.plan.metrics`. A
+table `extras` records those of the environments: see `experiment_runner.plan.extras`.
 
 A table `tune` searches the options of agents: see `experiment_runner.plan.tuning`.
 
@@ -39,7 +43,8 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
-from experiment_runner.plan.limits import BUDGETS, COUNTS
+from experiment_runner.plan.extras import parse_extras
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE
 from experiment_runner.plan.metrics import parse_metrics
 from experiment_runner.plan.plan import ROLES, Plan, RoleSweep, Seeds, plain
 from experiment_runner.plan.toml import SettingError, converted, naming_lines, parse, read, shown
@@ -70,9 +75,10 @@ def parse_plan(text: str, seeds: Seeds = "number") -> Plan:
     """
     table = {"seeds": seeds, "environments": {}, "agents": {}, **parse(text)}
     metrics = parse_metrics(table.pop("metrics_every", None), table.get("metrics"))
+    extras = parse_extras(table.get("extras", {}))
     tune = parse_tune(table["tune"]) if "tune" in table else None
     roles = {role: _roles(role, table[role]) for role in ROLES}
-    table |= roles | {"metrics": metrics, "tune": tune}
+    table |= roles | {"metrics": metrics, "extras": extras, "tune": tune}
     return converted(Plan, table, "a plan", also=["metrics_every"])
 
 
@@ -80,6 +86,8 @@ def dump_plan(plan: Plan) -> str:
     """Return the plan as TOML, from which `parse_plan` returns an equal plan."""
     counts = {name: getattr(plan, name) for name in COUNTS}
     lines = [f"{name} = {count}" for name, count in counts.items() if count or name not in BUDGETS]
+    if plan.pace:
+        lines += [f"{name} = {_toml_value(getattr(plan, name))}" for name in PACE]
     lines.append(f"seeds = {_toml_value(plan.seeds)}")
     if plan.inside:
         lines.append(f"inside = [{', '.join(map(_toml_value, plan.inside))}]")
@@ -88,6 +96,8 @@ def dump_plan(plan: Plan) -> str:
         kept = plan.metrics.keep.items()
         lines += ["", "[metrics]"] if kept else []
         lines += [f"{_toml_key(n)} = {_toml_value(str(k) if k.averaged else k.every)}" for n, k in kept]
+    if plan.extras:
+        lines += ["", "[extras]", *(f"{_toml_key(n)} = {_toml_value(how)}" for n, how in plan.extras.items())]
     for role in ROLES:
         for sweep in getattr(plan, role):
             lines += ["", f"[{role}.{_toml_key(sweep.label)}]", f"class = {_toml_value(sweep.name)}"]

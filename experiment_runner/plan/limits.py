@@ -16,6 +16,8 @@ COUNTS: Final = {
     "trials": range(1, 1_000_001),
     "seed": range(2**63),
 }
+PACE: Final = ("rate", "late", "delay")
+"""The settings of a plan that make up its pace."""
 BUDGETS: Final = ("episodes", "steps")
 """The lengths of a trial, of which a plan has one; the other is 0."""
 PLAYERS: Final = {"agent": Role.AGENT, "env": Role.ENVIRONMENT}

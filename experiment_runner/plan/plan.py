@@ -20,14 +20,16 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
+from experiment_runner.plan.extras import Summary
 from experiment_runner.plan.ids import REMOTE, TrialId, label_of
-from experiment_runner.plan.limits import BUDGETS, COUNTS
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.toml import SettingError, is_option, shown
 from experiment_runner.plan.tuning import Range, TunePlan
 from glue.console import did_you_mean
 from glue.errors import ConfigError
 from glue.options import Value, parameters
+from glue.pace import REPEAT, Pace
 from glue.plugins.loading import file_in, located
 
 ROLES: Final = ("environments", "agents")
@@ -110,6 +112,8 @@ class TrialSpec:
         episodes: number of episodes; 0 if the trial has a budget of steps.
         max_steps: the step limit of `Experiment.rl_episode`; 0 for none.
         seed: random seed, 0 <= seed < 2**63.
+        steps: budget of the trial, over all episodes; 0 if it has a number of episodes.
+        pace: of the environment.
     """
 
     id: TrialId
@@ -119,6 +123,7 @@ class TrialSpec:
     max_steps: int
     seed: int
     steps: int = 0
+    pace: Pace = field(default_factory=Pace)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "id", TrialId(self.id))  # also for a spec from a database or another process
@@ -136,6 +141,11 @@ class TrialSpec:
         agent = joined.get((self.id, "agent")) if self.agent is None else None
         environment = joined.get((self.id, "environment")) if self.environment is None else None
         return self.id.naming(agent, environment)
+
+    @property
+    def environment_label(self) -> str:
+        """The environment's label; `REMOTE` if it joins from outside."""
+        return self.environment.label if self.environment else REMOTE
 
     def step_limit(self, steps: int) -> int:
         """Return the step limit of the next episode, 0 for none.
@@ -163,7 +173,9 @@ class Plan:
         seeds: the part of a trial from which its seed is derived.
         inside: players that are objects in the process of a trial, of `PLAYERS`; does not affect results.
         metrics: the agents' metrics to record; None for none.
+        extras: the environments' extras to record, and as what; see `experiment_runner.plan.extras`.
         tune: the search for the agents' options; None for none.
+        rate, late, delay: the pace of every environment, see `glue.pace.Pace`.
 
     Raises:
         SettingError: it has no length or two, two agents or environments share a label, or the search is
@@ -180,9 +192,17 @@ class Plan:
     inside: tuple[Literal["agent", "env"], ...] = ()
     steps: Annotated[int, _in("steps")] = 0
     metrics: MetricsPlan | None = None
+    extras: Mapping[str, Summary] = field(default_factory=dict)
     tune: TunePlan | None = None
+    rate: float = 0.0
+    late: str = REPEAT
+    delay: int = 0
 
     def __post_init__(self) -> None:
+        try:
+            self.pace  # noqa: B018  # checks the three
+        except ConfigError as error:
+            raise SettingError(str(error), *error.settings[:1]) from None
         if bool(self.episodes) == bool(self.steps):
             raise SettingError(
                 "a trial ends after a number of episodes or of steps: a plan needs "
@@ -203,6 +223,11 @@ class Plan:
                         f"tune.agents.{label} is no agent of the plan{near}", "tune", "agents", label
                     )
 
+    @property
+    def pace(self) -> Pace:
+        """The pace of every environment."""
+        return Pace(self.rate, self.late, self.delay)
+
     def expand(self) -> list[TrialSpec]:
         """Return every trial; those of one combination follow each other.
 
@@ -216,7 +241,7 @@ class Plan:
             for number in range(self.trials):
                 name = TrialId.of(agent_part, environment_part, number)
                 seed = trial_seed(self.seed, str(number) if self.seeds == "number" else name)
-                limits = (self.episodes, self.max_steps, seed, self.steps)
+                limits = (self.episodes, self.max_steps, seed, self.steps, self.pace)
                 specs.append(TrialSpec(name, agent, environment, *limits))
         seen = set()
         for spec in specs:
@@ -306,7 +331,7 @@ def differences(ours: Plan, theirs: Plan) -> list[str]:
     """Return the differences of `theirs` from `ours`, one line for each."""
     found = [
         f"{name} is {getattr(theirs, name)}, not {getattr(ours, name)}"
-        for name in COUNTS
+        for name in (*COUNTS, *PACE)
         if getattr(ours, name) != getattr(theirs, name)
     ]
     if ours.tune != theirs.tune:
@@ -314,6 +339,8 @@ def differences(ours: Plan, theirs: Plan) -> list[str]:
     if ours.metrics != theirs.metrics:
         was, become = (plan.metrics or "not recorded" for plan in (ours, theirs))
         found.append(f"metrics are {become}; they were {was}")
+    if ours.extras != theirs.extras:
+        found.append(f"extras are {dict(theirs.extras)}, not {dict(ours.extras)}")
     for role in ROLES:
         our_sweeps, their_sweeps = ({s.label: s for s in getattr(plan, role)} for plan in (ours, theirs))
         found += [f"{role} lack {label}" for label in our_sweeps if label not in their_sweeps]
@@ -333,7 +360,7 @@ def describe(plan: Plan) -> str:
     """Return a readable summary of a plan, with a line for each trial."""
     specs = plan.expand()
     cutoff = f"cut off after {plan.max_steps} steps" if plan.max_steps else "without a step limit"
-    length = f"{length_of(plan)}{', episodes' if plan.steps else ''} {cutoff}"
+    length = f"{length_of(plan)}{', episodes' if plan.steps else ''} {cutoff}{plan.pace}"
     lines = [
         f"{len(specs)} trials of {length}; seed {plan.seed}"
         + (", and each trial's id" if plan.seeds == "id" else ""),

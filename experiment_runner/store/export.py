@@ -2,20 +2,22 @@
 
 Each row is an episode or, over steps, a window of steps. The columns of an episode: trial, episode (from 1),
 the measures of an episode (return, steps, terminal: false when the step limit truncated it, wall_time in
-seconds), seed (of the trial), agent and environment (labels), and one for each option, such as
-`agent.step_size`, which is empty where the trial does not set it.
+seconds), the extras that were recorded, seed (of the trial), agent and environment (labels), and one for each
+option, such as `agent.step_size`, which is empty where the trial does not set it.
 """
 
 from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, TextIO
 
 from experiment_runner.plan.ids import REMOTE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.store.extras import extra_columns, extras_of
 from experiment_runner.store.output import csv_row, finite, written
 from experiment_runner.store.records import MEASURES
 from experiment_runner.store.results import Results
@@ -46,7 +48,16 @@ class Table(NamedTuple):
 
 def episode_table(results: Results) -> Table:
     """Return the table of a run's episodes."""
-    return table_of(results, _EPISODE, lambda spec: map(list, results.episodes(spec.id)))
+    columns = extra_columns(results)
+
+    def rows(spec: TrialSpec) -> Iterator[list[Cell]]:
+        episodes = results.episodes(spec.id)
+        extras = extras_of(results, spec) if columns else {}
+        for i, episode in enumerate(episodes):
+            numbers = (float(extras[name][i]) if name in extras else math.nan for name in columns)
+            yield [*episode, *(None if math.isnan(number) else number for number in numbers)]
+
+    return table_of(results, {**_EPISODE, **dict.fromkeys(columns, float)}, rows)
 
 
 def metric_table(results: Results) -> Table:

@@ -31,6 +31,7 @@ class EpisodeResult(NamedTuple):
     steps: int
     terminal: bool
     wall_time: float
+    late: float = 0
 
     def repeats(self, other: EpisodeResult) -> bool:
         """Return whether the repeatable measures agree with those of another execution of the episode."""
@@ -76,6 +77,11 @@ class Measure(NamedTuple):
     repeatable: bool = True
 
 
+def _late(played: EndedEpisode) -> Value:
+    late = played.glue.late_actions()
+    return math.nan if late is None else late
+
+
 MEASURES: Final[dict[str, Measure]] = {
     "return": Measure(
         float, "episode_return REAL", "episode return (reward)", lambda played: played.glue.rl_return()
@@ -92,6 +98,7 @@ MEASURES: Final[dict[str, Measure]] = {
     "wall_time": Measure(
         float, "wall_time REAL NOT NULL", "duration of an episode (s)", lambda played: played.seconds, False
     ),
+    "late": Measure(int, "late INTEGER", "late actions of an episode", _late, False),
 }
 """The measures of an episode by name, in the order of `EpisodeResult` and of the columns of the database.
 

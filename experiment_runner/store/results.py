@@ -31,7 +31,8 @@ from experiment_runner.store.records import (
     Void,
 )
 from glue.closing import Closing
-from glue.errors import ExperimentError
+from glue.errors import ConfigError, ExperimentError
+from glue.pace import Pace
 
 _Row = TypeVar("_Row")
 _Whole = Annotated[int, Meta(ge=0)]
@@ -53,6 +54,9 @@ class _TrialRow(NamedTuple):
     max_steps: Annotated[int, Meta(ge=0, le=COUNTS["max_steps"][-1])]
     seed: _Whole
     budget: _Whole
+    rate: float
+    late: str
+    delay: _Whole
     done: int
     voids: int
     steps: int
@@ -97,6 +101,7 @@ class Results(Closing):
         rows = self._rows(
             _TrialRow,
             """SELECT id, agent, environment, trials.episodes, max_steps, seed, trials.steps,
+                rate, late, delay,
                 (SELECT count(*) FROM episodes WHERE trial = key), ifnull(voided, 0),
                 iif(trials.steps, (SELECT ifnull(sum(steps), 0) FROM episodes WHERE trial = key), 0), failure
                 FROM trials LEFT JOIN
@@ -306,8 +311,12 @@ class Results(Closing):
 
     def _trial(self, row: _TrialRow) -> TrialRecord:
         roles = (self._role(row.trial_id, row.agent), self._role(row.trial_id, row.environment))
+        try:
+            pace = Pace(row.rate, row.late, row.delay)
+        except ConfigError as error:
+            raise self._damaged(f"the pace of {row.trial_id}: {error}") from None
         limits = (row.episodes, row.max_steps, row.seed, row.budget)
-        spec = TrialSpec(TrialId(row.trial_id), *roles, *limits)
+        spec = TrialSpec(TrialId(row.trial_id), *roles, *limits, pace=pace)
         return TrialRecord(spec, row.done, row.voids, row.failure, row.steps)
 
     def _role(self, trial_id: str, text: str | None) -> RoleSpec | None:

@@ -136,6 +136,14 @@ MIGRATIONS: tuple[Migration, ...] = (
         pack_older,
         "DROP TABLE metrics",
     ),
+    (
+        # The pace of the environment; see glue.pace.
+        "ALTER TABLE trials ADD COLUMN rate REAL NOT NULL DEFAULT 0",
+        "ALTER TABLE trials ADD COLUMN late TEXT NOT NULL DEFAULT 'repeat'",
+        "ALTER TABLE trials ADD COLUMN delay INTEGER NOT NULL DEFAULT 0",
+        # Number of the agent's late actions; NULL where it is not known.
+        f"ALTER TABLE episodes ADD COLUMN {_columns('late')}",
+    ),
 )
 
 

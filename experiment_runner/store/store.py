@@ -50,8 +50,9 @@ from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from glue.files import open_regular
 
-_PUT_TRIAL: Final = """INSERT INTO trials (id, agent, environment, episodes, max_steps, seed, steps)
-    VALUES (?, ?, ?, ?, ?, ?, ?)"""
+_PUT_TRIAL: Final = """INSERT INTO trials
+    (id, agent, environment, episodes, max_steps, seed, steps, rate, late, delay)
+    VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"""
 _PUT_EPISODE: Final = f"INSERT INTO episodes VALUES (?{', ?' * len(EpisodeResult._fields)})"
 _PUT_ANSWER: Final = "INSERT INTO answers VALUES (?, ?, ?, ?)"
 _PUT_READINGS: Final = "INSERT INTO readings VALUES (?, ?, ?, ?)"
@@ -361,7 +362,8 @@ def _unrecorded(records: Sequence[_Record]) -> str:
 
 def _trial_row(spec: TrialSpec) -> tuple[object, ...]:
     roles = (_role_text(spec.agent), _role_text(spec.environment))
-    return (spec.id, *roles, spec.episodes, spec.max_steps, spec.seed, spec.steps)
+    pace = (spec.pace.rate, spec.pace.late, spec.pace.delay)
+    return (spec.id, *roles, spec.episodes, spec.max_steps, spec.seed, spec.steps, *pace)
 
 
 def _checkpoint_row(key: int, episode: int, saved: Checkpoint) -> tuple[object, ...]:

@@ -13,11 +13,12 @@ import click
 
 from glue import __version__
 from glue.cli.entry import Terminated
-from glue.cli.shared import keys_option, legacy_port_option
+from glue.cli.shared import keys_option, legacy_port_option, pace_options
 from glue.console import say
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort
 from glue.hub.io.log import Log, LogLevel
+from glue.pace import REPEAT, Pace
 
 _DEFAULTS: Final = HubConfig()
 
@@ -67,6 +68,7 @@ _LARGE_BLOCK: Final = 2**20
     help="Maximum memory for observations, actions and other messages, in all. When it is exceeded, the "
     "session or connection that uses most is ended.",
 )
+@pace_options
 @legacy_port_option
 @keys_option
 @click.option(
@@ -81,6 +83,9 @@ def hub(
     timeout: float,
     max_sessions: int,
     max_memory: int,
+    rate: float | None,
+    late: str | None,
+    delay: int | None,
     legacy_port: tuple[str, ...],
     keys: Path | None,
     insecure: bool,
@@ -110,6 +115,7 @@ def hub(
         max_sessions=max_sessions,
         max_memory=max_memory * 2**20,
         insecure=insecure,
+        pace=Pace(rate or 0.0, late or REPEAT, delay or 0),
     )
     ports = [LegacyPort.parse(text, insecure=insecure) for text in legacy_port]
     if quiet and verbose:

@@ -64,6 +64,24 @@ legacy_port_option: Final = click.option(
 
 
 _T = TypeVar("_T")
+_Command = TypeVar("_Command", bound=Callable[..., object])
+
+
+def pace_options(command: _Command) -> _Command:
+    """Add the options that make up a `glue.pace.Pace`; each is None if it is not given."""
+    rate = click.option(
+        "--rate", type=float, metavar="HZ", help="Steps of the environment per second: it does not wait."
+    )
+    late = click.option(
+        "--late",
+        metavar="repeat|ACTION",
+        help="What is carried out while the agent is late: its last action, or one such as 0,1. "
+        "[default: repeat]",
+    )
+    delay = click.option(
+        "--delay", type=int, metavar="STEPS", help="Carry each action out so many steps later."
+    )
+    return rate(late(delay(command)))
 
 
 def reporting(callback: Callable[..., _T]) -> Callable[..., _T]:

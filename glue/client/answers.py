@@ -9,7 +9,9 @@ from glue.client.bodies import READ, write
 from glue.engine.calls import Handler, name_of, role_calls
 from glue.errors import RemoteProtocolError
 from glue.roles import AgentLike, EnvironmentLike, capabilities
-from glue.wire.messages import CALLS, Kind, Message, Role
+from glue.types import Observation
+from glue.wire.beside import carried, readable
+from glue.wire.messages import BESIDE, CALLS, Kind, Message, Role
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
@@ -35,6 +37,8 @@ class ServedPlayer:
             kind: (handler, READ[CALLS[kind].request.body])
             for kind, handler in role_calls(role, player).items()
         }
+        self._beside = BESIDE.intersection(self.capabilities) if role is Role.ENVIRONMENT else frozenset()
+        self._carried = self._beside  # what the hub carries of it
         self._last_seq = 0
         self._last_call: Message | None = None
         self._last_answer: Message | None = None
@@ -46,6 +50,11 @@ class ServedPlayer:
         received the answer.
         """
         self._last_seq = 0
+
+    def welcome(self, message: Message) -> None:
+        """Note what the hub can carry beside the numbers of observations, according to a WELCOME."""
+        confirmed = carried(message)
+        self._carried = self._beside if self._beside <= confirmed else self._beside & confirmed
 
     def answer(self, message: Message) -> Message | None:
         """Return the answer to a call; the same answer if the call is repeated; None if it is outdated."""
@@ -61,7 +70,10 @@ class ServedPlayer:
             raise RemoteProtocolError(f"the hub asked {self.name} for {kind.name}")
         handler, read = known
         replied, result = handler(scalars, read(body))
-        answer = _message(Message, (kind, session, seq, replied, write(result)))
+        body = write(result)
+        if self._carried is not self._beside and isinstance(result, Observation):
+            body = readable(body, self._carried)
+        answer = _message(Message, (kind, session, seq, replied, body))
         self._last_seq = seq
         self._last_answer = answer
         return answer

@@ -21,7 +21,9 @@ from glue.console import LOG, one_line
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.hub.config import DEFAULT_SESSION
-from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role, Value
+from glue.types import Observation, has_beside
+from glue.wire.beside import carried, readable_by_agent
+from glue.wire.messages import BESIDE, CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role, Value
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -74,6 +76,7 @@ def connect_over(
     name: str = "experiment",
     on_notice: OnNotice | None = None,
     num_steps: Callable[[], int] | None = None,
+    num_late: Callable[[], int] | None = None,
 ) -> RemoteExperiment:
     """Return an experiment of `session` over an open connection, once the hub has let it in.
 
@@ -83,12 +86,14 @@ def connect_over(
         name: as for `connect`.
         on_notice: as for `connect`.
         num_steps: returns RL_num_steps from any thread; None if the hub is not in this process.
+        num_late: likewise, the number of late actions.
 
     Raises:
         ConfigError: the session name is malformed.
         Refused: the hub does not let it in.
     """
-    return RemoteExperiment(Target("inside", session), name, None, None, on_notice, transport, num_steps)
+    target = Target("inside", session)
+    return RemoteExperiment(target, name, None, None, on_notice, transport, num_steps, num_late)
 
 
 class RemoteExperiment(Experiment):
@@ -103,8 +108,10 @@ class RemoteExperiment(Experiment):
         on_notice: OnNotice | None,
         transport: Transport | None = None,
         num_steps: Callable[[], int] | None = None,
+        num_late: Callable[[], int] | None = None,
     ) -> None:
         self._num_steps = num_steps
+        self._num_late = num_late
         self._session = session = target.session
         self._on_notice = on_notice
         self._seq = 0
@@ -115,7 +122,8 @@ class RemoteExperiment(Experiment):
         self._loss_before: tuple[str | None] | None = None
         self._given_up: str | None = None
         self._outcome: Mapping[Kind, tuple[Value, ...]] = {}
-        names = {session: (name, (OUTCOME,))}
+        self._carries: frozenset[str] = frozenset()
+        names = {session: (name, (*sorted(BESIDE), OUTCOME))}
         self._link = Link(Role.EXPERIMENT, target.hub, names, wait, context, transport, target.key)
         self._closed = False
         try:
@@ -133,6 +141,9 @@ class RemoteExperiment(Experiment):
 
     def steps_under_way(self) -> int | None:
         return None if self._num_steps is None else self._num_steps()
+
+    def late_actions(self) -> int | None:
+        return None if self._num_late is None else self._num_late()
 
     def give_up(self, reason: str) -> None:
         """Make the verb that is waiting, or the next one, raise HubClosed; callable from any thread."""
@@ -163,6 +174,7 @@ class RemoteExperiment(Experiment):
             if message.kind is Kind.NOTICE:
                 self._notice(message)
             elif message.kind is Kind.WELCOME:
+                self._carries = carried(message)
                 self._welcome(resumed=bool(message.scalars[1]))
         return message
 
@@ -198,7 +210,10 @@ class RemoteExperiment(Experiment):
         self._outcome = {}
         link = self._link
         self._seq += 1
-        request = Message(kind, self._session, self._seq, scalars, write(body))
+        data = write(body)
+        if isinstance(body, Observation) and has_beside(data):
+            data = readable_by_agent(data, self._carries)
+        request = Message(kind, self._session, self._seq, scalars, data)
         unreceived = 0  # how often the request was sent and, as far as is known, not received
         if link.ready(self._session):
             link.send(request)

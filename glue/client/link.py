@@ -188,7 +188,7 @@ class Link:
             self.send(Message(Kind.HELLO, session, self._greeted, scalars))
 
     def _welcome(self, message: Message) -> None:
-        _, _, heartbeat, timeout, max_body = message.scalars
+        _, _, heartbeat, timeout, max_body, *_ = message.scalars
         assert isinstance(heartbeat, float)
         assert isinstance(timeout, float)
         assert isinstance(max_body, int)

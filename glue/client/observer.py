@@ -21,7 +21,7 @@ from glue.client.link import Link
 from glue.client.target import Target, find_target
 from glue.closing import Closing
 from glue.types import Action, Observation, body_size
-from glue.wire.messages import Kind, Message, Role
+from glue.wire.messages import BESIDE, Kind, Message, Role
 
 
 class TaskSpecSeen(NamedTuple):
@@ -106,7 +106,7 @@ class Observer(Closing):
         self._link = Link(
             Role.OBSERVER,
             target.hub,
-            {target.session: (name, ())},
+            {target.session: (name, tuple(sorted(BESIDE)))},
             wait,
             None,
             key=target.key,

@@ -133,9 +133,13 @@ def _serve(
                         reason = f"{type(error).__name__} in {what}"
                         text = _report(link, message, error)
                         raise PeerFailed(f"{role} {player.name} raised in {what}: {text}") from error
-                elif message.kind is Kind.WELCOME and not message.scalars[1]:
-                    player.forget()
-                    LOG.info("%s %s is in session %r at %s", role, player.name, message.session, target.hub)
+                elif message.kind is Kind.WELCOME:
+                    player.welcome(message)
+                    if not message.scalars[1]:
+                        player.forget()
+                        LOG.info(
+                            "%s %s is in session %r at %s", role, player.name, message.session, target.hub
+                        )
         reason = "stopped"
         return reason
     except HubClosed as goodbye:

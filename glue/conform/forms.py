@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from glue.types import Observation
+from glue.types import Action, Observation
 
 _SOME: Final = [0, 1, -1, 127, 128, -128, 255, 256, 65536, 2**31 - 1, -(2**31)]
 INTS: Final = [*_SOME, -sum(_SOME)]
@@ -42,6 +42,43 @@ EMPTY: Final = [
     Observation([1], [], b"a"),
     Observation(),
 ]
+
+MASKED: Final = [
+    *(
+        Observation([3, -5], [0.5], b"ab", mask=mask)
+        for mask in ([True], [False, True, True], [False] * 8 + [True], [True, False] * 150)
+    ),
+    Observation(mask=[False] * 6 + [True]),
+]
+"""Observations with masks of 1 to 38 bytes."""
+
+WITH_EXTRAS: Final = [
+    Observation([3], [0.5], b"ab", extras={"coins": 7}),
+    Observation(
+        mask=[True, False, True],
+        extras={
+            "z.least": -(2**63),
+            "most": 2**63 - 1,
+            "half": 0.5,
+            "text": "größer, 走る",
+            "bytes": bytes(range(256)),
+            "ints": [0, -1, 127, -128, 255, -32768, 65535, 2**31, -(2**31), 2**53 + 1],
+            "floats": [0.5, -1.25],
+            "nothing": [],
+        },
+    ),
+    Observation([1], extras={f"n{number}": number for number in range(64)}),
+    Observation([], [], b"a", extras={"many": [0.25] * 7000}),
+]
+"""Observations with extras of every type; floats are not whole, as some languages have one type of number."""
+
+ASKING: Final = [
+    Action([1, 0, -2], [0.5, -2.25], b"\0\xffa&"),
+    Action([], [0.5], b"&"),
+    Action([0] * 8 + [7], [], b"&"),
+    Action([1] * 300, [0.125], b"&"),
+]
+"""Actions that the mirror's environment answers with a mask, if there are ints, and extras."""
 
 TEXTS: Final = [
     text.encode()

@@ -6,7 +6,8 @@ import struct
 from collections.abc import Sequence
 from typing import Any, Final
 
-from glue.types import AbstractType, body_size
+from glue.errors import RemoteProtocolError
+from glue.types import Observation, body_size
 from glue.wire.codec import TO_HUB, encode
 from glue.wire.messages import Message
 
@@ -38,10 +39,19 @@ def _plain(message: Message) -> list[Any]:
         return [*values, body]
     while body:
         size = body_size(body)
-        value = AbstractType.from_body(body[:size])
+        value = Observation.from_body(body[:size])
         values += [value.counts, value.ints.tolist(), list(map(_bits, value.doubles.tolist())), value.chars]
+        values += [value.packed_mask, _extras(value)]
         body = body[size:]
     return values
+
+
+def _extras(observation: Observation) -> object:
+    """Return extras in a form in which their order and the formats of msgpack do not matter."""
+    try:
+        return observation.extras
+    except RemoteProtocolError as error:
+        return str(error)
 
 
 def _bits(value: float) -> bytes:

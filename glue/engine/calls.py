@@ -13,24 +13,30 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Container, Mapping
+from contextlib import suppress
 from typing import Any, Final
 
 from glue.engine.metrics import checked_metrics
 from glue.errors import PeerFailed, TaskSpecError
 from glue.roles import (
     Agent,
+    BatchEnvironment,
     Environment,
     MetricAgent,
+    PacedAgent,
     SaveableAgent,
     SaveableEnvironment,
     SeedableAgent,
     SeedableEnvironment,
+    capabilities,
     completed,
     offers,
 )
-from glue.taskspec import Space, parse_task_spec
-from glue.types import CUT_OFF, AbstractType, Action, Observation, step_of
-from glue.wire.messages import CALLS, Kind, Role
+from glue.taskspec import Space, mask_sizes, parse_task_spec
+from glue.taskspec.masks import mask_fault
+from glue.types import CUT_OFF, NOTHING_BESIDE, AbstractType, Action, Observation, has_beside, step_of
+from glue.wire.beside import beside_without
+from glue.wire.messages import BESIDE, CALLS, MASK, Kind, Role
 
 Answer = tuple[tuple[Any, ...], Any]
 Handler = Callable[[tuple[Any, ...], Any], Answer]
@@ -119,6 +125,8 @@ def agent_calls(agent: Agent) -> dict[Kind, Handler]:
         calls[Kind.AGENT_LOAD] = _loader(agent.agent_load)
     if offers(agent, MetricAgent):
         calls[Kind.AGENT_METRICS] = _metrics(agent, agent.agent_metrics)
+    if offers(agent, PacedAgent):
+        calls[Kind.AGENT_STEP] = _told(agent.agent_pace, step)
     return calls
 
 
@@ -126,11 +134,16 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
     """Return a function for each call that `environment` supports."""
 
     shown = received = b""
+    beside = _Beside(environment)
+    careful = True  # observations may have something beside their numbers
 
     def init(_: tuple[Any, ...], __: Any) -> Answer:
-        nonlocal shown, received
+        nonlocal shown, received, careful
         task_spec = _text(environment, "env_init", environment.env_init())
         shown, received = _counts(task_spec)
+        careful = beside.init(task_spec, stated=bool(shown))
+        if shown and not careful:
+            shown += NOTHING_BESIDE
         return (), task_spec
 
     def start(_: tuple[Any, ...], __: Any) -> Answer:
@@ -138,7 +151,10 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
         if type(observation) is not Observation:
             raise _wrong(environment, "env_start", "an Observation", observation)
         if shown and not observation._body.startswith(shown):
+            beside.check("env_start", observation)
             raise _miscounted(environment, "env_start", observation, shown)
+        if careful and has_beside(observation._body):
+            beside.check("env_start", observation)
         return (), observation
 
     def step(_: tuple[Any, ...], action: Any) -> Answer:
@@ -155,7 +171,10 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
         if type(observation) is not Observation:
             raise _wrong(environment, "env_step", "a Step with an Observation", answer)
         if shown and not observation._body.startswith(shown):
+            beside.check("env_step", observation)
             raise _miscounted(environment, "env_step", observation, shown)
+        if careful and has_beside(observation._body):
+            beside.check("env_step", observation)
         return (taken.reward, CUT_OFF if taken.truncated else taken.terminal), observation
 
     def cleanup(_: tuple[Any, ...], __: Any) -> Answer:
@@ -185,8 +204,15 @@ def unsupported(kind: Kind, role: Role, name: str) -> str:
     return f"{role} {name} does not support this: it has no {kind.name.lower()}"
 
 
-def unfit_for_batch(environment: Container[str], agent: Container[str], name: str) -> str:
-    """Return why an agent cannot act in an environment, given the capabilities of both; "" if it can."""
+def unfit_for_batch(
+    environment: Container[str], agent: Container[str], name: str, paced: bool = False
+) -> str:
+    """Return why an agent cannot act in an environment, given the capabilities of both; "" if it can.
+
+    `paced` says whether the environment has a pace: the rewards of many games could not be added up.
+    """
+    if "batch" in environment and paced:
+        return "an environment of many games at once (capability `batch`) has no rate and no delay"
     if "batch" in environment and "batch" not in agent:
         return (
             f"agent {name} does not support this: it has no agent_batch, and the environment is many games "
@@ -206,6 +232,15 @@ def _seeder(method: Callable[[int], None]) -> Handler:
         return _DONE
 
     return seed
+
+
+def _told(method: Callable[[float, float], None], step: Handler) -> Handler:
+    def paced_step(scalars: tuple[Any, ...], observation: Any) -> Answer:
+        if len(scalars) > 1:
+            method(*scalars[1:])
+        return step(scalars, observation)
+
+    return paced_step
 
 
 def _saver(player: object, name: str, method: Callable[[], bytes]) -> Handler:
@@ -246,6 +281,58 @@ def _text(player: object, method: str, value: object) -> str:
     return value
 
 
+_MAX_REMEMBERED: Final = 1024
+_LIGHT: Final = 32
+"""Maximum number, and size in bytes, of masks that are remembered as right."""
+
+
+class _Beside:
+    """Checks what an environment's observations carry beside their numbers."""
+
+    def __init__(self, environment: Environment) -> None:
+        self._name = name_of(environment)
+        self._offered = BESIDE.intersection(capabilities(environment))
+        if offers(environment, BatchEnvironment):
+            self._offered = frozenset()  # the observations of many games have no place for them
+        self._sizes: tuple[int, ...] | None = None
+        self._right: set[bytes] = set()  # masks that fit the task spec
+        self._parsed = True
+
+    def init(self, task_spec: str, stated: bool) -> bool:
+        """Take the task spec; return whether observations have to be checked if their counts are right."""
+        self._sizes = None
+        self._right.clear()
+        self._parsed = stated
+        if MASK in self._offered:
+            with suppress(TaskSpecError):
+                spec = parse_task_spec(task_spec)
+                self._parsed = True
+                self._sizes = mask_sizes(spec.actions) if spec.masks else None
+        return bool(self._offered) or not stated
+
+    def check(self, method: str, observation: Observation) -> None:
+        """Raise PeerFailed if an observation that `method` returned has what it must not have."""
+        packed = observation.packed_mask
+        unoffered = beside_without(observation._body, self._offered)
+        if packed in self._right and not unoffered:
+            return
+        if unoffered:
+            why = f"with {unoffered}, and does not offer this capability (no batch can)"
+        elif packed and not self._parsed:
+            why = ""  # nothing is known of the actions
+        elif packed and self._sizes is None:
+            why = "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
+        else:
+            fault = mask_fault(packed, self._sizes or ())
+            why = fault and f"whose mask does not fit the task spec: {fault}"
+        if why:
+            raise PeerFailed(f"{method} of {self._name} returned an observation {why}")
+        if len(self._right) == _MAX_REMEMBERED:
+            self._right.clear()
+        if len(packed) <= _LIGHT:
+            self._right.add(packed)
+
+
 _COUNTS: Final = struct.Struct("<3I")
 
 
@@ -270,7 +357,7 @@ def _amounts(counts: tuple[int, int, int]) -> str:
 
 
 def _miscounted(player: object, method: str, value: AbstractType, start: bytes) -> PeerFailed:
-    expected = _amounts(_COUNTS.unpack(start))
+    expected = _amounts(_COUNTS.unpack_from(start))
     return PeerFailed(
         f"{method} of {name_of(player)} must return {expected}, as the task spec says; "
         f"it returned {_amounts(value.counts)}"

@@ -50,6 +50,13 @@ class Experiment(Closing):
         """Return RL_num_steps of an episode that another thread is playing; None if it is not known here."""
         return None
 
+    def late_actions(self) -> int | None:
+        """Return the number of late actions since the last start; always 0 without a rate (see `glue.pace`).
+
+        None if it is not known here, as at a hub in another process.
+        """
+        return None
+
     def rl_init(self, seed: int | None = None) -> str:
         """Initialise the environment, then the agent; reset the counters. Return the task spec.
 

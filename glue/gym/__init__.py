@@ -16,12 +16,22 @@ from glue.errors import ConfigError
 
 if TYPE_CHECKING:
     from glue.gym.client import GlueEnv, connect, connect_vec, wrap
+    from glue.gym.games import game_class
     from glue.gym.served import GymnasiumEnvironment, environment_class
 
-__all__ = ["GlueEnv", "GymnasiumEnvironment", "connect", "connect_vec", "environment_class", "wrap"]
+__all__ = [
+    "GlueEnv",
+    "GymnasiumEnvironment",
+    "connect",
+    "connect_vec",
+    "environment_class",
+    "game_class",
+    "wrap",
+]
 
 _HOMES: Final = {
     "glue.gym.client": ("GlueEnv", "connect", "connect_vec", "wrap"),
+    "glue.gym.games": ("game_class",),
     "glue.gym.served": ("GymnasiumEnvironment", "environment_class"),
 }
 

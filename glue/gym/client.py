@@ -19,12 +19,13 @@ from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, SimulatorError, TaskSpecError
 from glue.gym.codec import Codec, SpaceLike
+from glue.gym.masks import MaskCodec
 from glue.gym.spaces import read_spaces
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.roles import Agent, Environment
 from glue.system import threads
 from glue.taskspec import parse_task_spec
-from glue.types import Action, Observation, arrays_of
+from glue.types import Action, BoolArray, Observation, arrays_of
 
 
 def wrap(environment: Environment) -> GlueEnv:
@@ -81,7 +82,8 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
     """The environment of an experiment, whose agent is never asked for an action.
 
     Its spaces are read from the task spec; see `glue.gym.spaces.read_spaces`. A reset with a seed is an
-    RL_init with that seed, from which the environment's own seed is derived.
+    RL_init with that seed, from which the environment's own seed is derived. An info has the extras of the
+    observation and, in a task with masks, the `action_mask`; see `glue.gym.masks`.
 
     Args:
         glue: the experiment; it is closed with the environment.
@@ -106,6 +108,8 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         if spec.observations.stated:
             self._read = Codec(self.observation_space).unpack
         self._actions = Codec(self.action_space)
+        self._masks = MaskCodec(self.action_space) if spec.masks else None
+        self._shown = Observation()
         self._playing = False
 
     @property
@@ -126,9 +130,9 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
             self._glue.rl_cleanup()
             if self._glue.rl_init(seed) != self._task_spec:
                 raise SimulatorError("the environment has another task spec now: make a new GlueEnv")
-        observation = self._read(self._glue.rl_env_start())
+        self._shown = self._glue.rl_env_start()
         self._playing = True
-        return observation, {}
+        return self._read(self._shown), self._info()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Carry out an action.
@@ -143,13 +147,34 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
             raise SimulatorError(f"{action!r:.80} is not in {self.action_space}")
         step = self._glue.rl_env_step(Action(*self._actions.pack(action)))
         self._playing = not step.terminal
+        self._shown = step.observation
         terminated = step.terminal and not step.truncated
-        return self._read(step.observation), step.reward, terminated, step.truncated, {}
+        return self._read(self._shown), step.reward, terminated, step.truncated, self._info()
+
+    def action_masks(self) -> BoolArray:
+        """Return which values of the next action are legal, those of its numbers concatenated, shape (bits,).
+
+        sb3-contrib's MaskablePPO asks for it before each action.
+
+        Raises:
+            SimulatorError: the task has no masks.
+        """
+        if self._masks is None:
+            raise SimulatorError("this environment has no masks: its task spec's EXTRA lacks the word masks")
+        return self._masks.flat(self._shown)
 
     def close(self) -> None:
         """Clean up and leave the session."""
         self._glue.rl_cleanup()
         self._glue.close()
+
+    def _info(self) -> dict[str, Any]:
+        extras = self._shown.extras
+        # Gymnasium's vector environments take arrays of one shape only, and any lists.
+        info: dict[str, Any] = {n: [*x] if isinstance(x, tuple) else x for n, x in extras.items()}
+        if self._masks is not None:
+            info["action_mask"] = self._masks.unpack(self._shown)
+        return info
 
 
 class _StandIn(Agent):

@@ -111,15 +111,15 @@ class Codec:
 
     def __init__(self, space: SpaceLike) -> None:
         self.space = space
-        self._leaves = [*leaves_of(space)]
-        self._clips = [leaf.run == DOUBLE and bool(np.isfinite(ends_of(leaf)).any()) for leaf in self._leaves]
+        self.leaves: list[Leaf] = [*leaves_of(space)]
+        self._clips = [leaf.run == DOUBLE and bool(np.isfinite(ends_of(leaf)).any()) for leaf in self.leaves]
 
     @property
     def ranges(self) -> Space:
         """The space as a task spec describes it."""
         runs: list[list[tuple[int, Range]]] = [[], []]
         chars = 0
-        for leaf in self._leaves:
+        for leaf in self.leaves:
             if leaf.run == CHAR:
                 chars += leaf.size
             else:
@@ -136,7 +136,7 @@ class Codec:
                 char is outside its bounds.
         """
         parts: tuple[list[npt.NDArray[Any]], ...] = ([], [], [])
-        for leaf, part in zip(self._leaves, _parts(self.space, value), strict=True):
+        for leaf, part in zip(self.leaves, parts_of(self.space, value), strict=True):
             parts[leaf.run].append(_numbers(leaf, part))
         ints, doubles, chars = (
             np.concatenate(run) if run else np.empty(0, dtype)
@@ -162,7 +162,7 @@ class Codec:
         )
         at = [0, 0, 0]
         found = []
-        for leaf, clips in zip(self._leaves, self._clips, strict=True):
+        for leaf, clips in zip(self.leaves, self._clips, strict=True):
             start = at[leaf.run]
             at[leaf.run] = start + leaf.size
             numbers = runs[leaf.run][start : at[leaf.run]]
@@ -175,11 +175,11 @@ class Codec:
             if not leaf.space.contains(part):
                 raise SimulatorError(f"{part!r:.80} is not in {leaf.space!r:.200}")
             found.append(part)
-        return _build(self.space, iter(found))
+        return build(self.space, iter(found))
 
     def ranges_wrong(self, value: AbstractType) -> str:
         """Return why the counts of `value` are not those of the space, or ""."""
-        counts = [sum(leaf.size for leaf in self._leaves if leaf.run == run) for run in (INT, DOUBLE, CHAR)]
+        counts = [sum(leaf.size for leaf in self.leaves if leaf.run == run) for run in (INT, DOUBLE, CHAR)]
         if value.counts == tuple(counts):
             return "" if not np.isnan(value.doubles).any() else f"a number is NaN: {value!r:.200}"
         return (
@@ -230,7 +230,7 @@ def _runs(leaf: Leaf) -> Iterator[tuple[int, Range]]:
         yield stop - start, Range(low[start].item(), high[start].item())
 
 
-def _parts(space: SpaceLike, value: Any) -> Iterator[Any]:
+def parts_of(space: SpaceLike, value: Any) -> Iterator[Any]:
     """Yield the parts of a value, one for each leaf.
 
     Raises:
@@ -240,19 +240,20 @@ def _parts(space: SpaceLike, value: Any) -> Iterator[Any]:
         if not isinstance(value, Mapping) or value.keys() != space.spaces.keys():
             raise SimulatorError(f"expected a dict of {', '.join(space.spaces)}, not {value!r:.80}")
         for key in sorted(space.spaces):
-            yield from _parts(space.spaces[key], value[key])
+            yield from parts_of(space.spaces[key], value[key])
     elif isinstance(space, spaces.Tuple):
         if not isinstance(value, Sequence | np.ndarray) or len(value) != len(space.spaces):
             raise SimulatorError(f"expected a tuple of {len(space.spaces)} parts, not {value!r:.80}")
         for part, one in zip(space.spaces, value, strict=True):
-            yield from _parts(part, one)
+            yield from parts_of(part, one)
     else:
         yield value
 
 
-def _build(space: SpaceLike, parts: Iterator[Any]) -> Any:
+def build(space: SpaceLike, parts: Iterator[Any]) -> Any:
+    """Return the value of a space with these parts, one for each leaf."""
     if isinstance(space, spaces.Dict):
-        return {key: _build(space.spaces[key], parts) for key in sorted(space.spaces)}
+        return {key: build(space.spaces[key], parts) for key in sorted(space.spaces)}
     if isinstance(space, spaces.Tuple):
-        return tuple(_build(part, parts) for part in space.spaces)
+        return tuple(build(part, parts) for part in space.spaces)
     return next(parts)

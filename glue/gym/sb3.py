@@ -25,20 +25,24 @@ except ImportError:
     raise ConfigError("this needs Stable-Baselines3: pip install 'glue-rl[sb3]'") from None
 
 from glue.gym.codec import Codec
+from glue.gym.masks import MaskCodec
 from glue.gym.spaces import read_spaces
 from glue.gym.vectors import AutoresetMode, infos_of_step, split
 from glue.options import Option
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation
 
-_ALGORITHMS: Final = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG")
+_ALGORITHMS: Final = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG", "MaskablePPO")
+_MASKED: Final = "MaskablePPO"
+"""The algorithm that takes masks of the legal actions; it comes with sb3-contrib."""
 
 
 class SB3VecEnv(VecEnv):  # type: ignore[misc]
     """A Gymnasium vector environment in the form that Stable-Baselines3 expects.
 
     When an episode is over, `infos[i]` has its last observation as `terminal_observation`, and
-    `TimeLimit.truncated`: whether it was only truncated, so that values are bootstrapped.
+    `TimeLimit.truncated`: whether it was only truncated, so that values are bootstrapped. sb3-contrib's
+    MaskablePPO finds the masks of the legal actions by the method `action_masks`, if the infos have them.
 
     Args:
         envs: the vector environment; it is closed with this one.
@@ -59,6 +63,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         self.render_mode: str | None = envs.render_mode
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
         self._actions: Any = None
+        self._infos: dict[str, Any] = {}  # of the observations last returned
 
     def reset(self) -> Any:
         """Begin an episode in every game, with the seeds and options that were set."""
@@ -66,6 +71,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         options = next((one for one in self._options if one), None)
         observations, infos = self._envs.reset(seed=seeds, options=options)
         self.reset_infos: list[dict[str, Any]] = split(infos, self.num_envs)
+        self._infos = infos
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -78,11 +84,18 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         """Carry out the actions; return observations, rewards, which episodes are over, and infos."""
         observations, rewards, terminated, truncated, infos = self._envs.step(self._actions)
         parts = infos_of_step(infos, terminated, truncated)
+        self._infos = infos
         return observations, rewards.astype(np.float32), terminated | truncated, parts
 
     def close(self) -> None:
         """Close the vector environment."""
         self._envs.close()
+
+    def has_attr(self, attr_name: str) -> bool:
+        """Return whether the games have an attribute, or masks if it is `action_masks`."""
+        if attr_name == "action_masks":
+            return "action_mask" in self._infos
+        return bool(super().has_attr(attr_name))
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the vector environment, once for each game."""
@@ -97,11 +110,18 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         raise ConfigError(f"{attr_name} cannot be set: the games of a vector environment share it")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Refuse: the games are not separate objects.
+        """Return the masks if the method is `action_masks`, as sb3-contrib asks for them.
 
         Raises:
-            ConfigError: always.
+            ConfigError: the method is another one: the games are not separate objects.
         """
+        if method_name == "action_masks":
+            codec = MaskCodec(self.action_space)
+            shown = split(self._infos, self.num_envs)
+            masks = [shown[i].get("action_mask") for i in self._chosen(indices)]
+            return [
+                codec.flat(Observation(mask=None if mask is None else codec.pack(mask))) for mask in masks
+            ]
         raise ConfigError(f"{method_name} cannot be called: the games are no environments of their own")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
@@ -135,13 +155,15 @@ class SB3Agent(Agent):
         self._algorithm = algorithm
         self._deterministic = deterministic
         self._model = self._load()
+        self.agent_masks: bool = algorithm == _MASKED
         self._seed: int | None = None
 
     def agent_seed(self, seed: int) -> None:
         self._seed = seed
 
     def agent_init(self, task_spec: str) -> None:
-        observations, actions = read_spaces(parse_task_spec(task_spec))
+        spec = parse_task_spec(task_spec)
+        observations, actions = read_spaces(spec)
         expected = (self._model.observation_space, self._model.action_space)
         if (observations, actions) != expected:
             raise ConfigError(
@@ -150,12 +172,14 @@ class SB3Agent(Agent):
                 f"{actions!s:.60}. The environment that it was trained on is gymnasium:ID"
             )
         self._observations, self._actions = Codec(observations), Codec(actions)
+        self._masks = MaskCodec(actions) if spec.masks and self.agent_masks else None
         if self._seed is not None:
             self._model.set_random_seed(self._seed % 2**32)
 
     def agent_start(self, observation: Observation) -> Action:
+        masks = {} if self._masks is None else {"action_masks": self._masks.flat(observation)}
         action, _ = self._model.predict(
-            self._observations.unpack(observation), deterministic=self._deterministic
+            self._observations.unpack(observation), deterministic=self._deterministic, **masks
         )
         return Action(*self._actions.pack(action))
 
@@ -171,7 +195,19 @@ class SB3Agent(Agent):
                 f"there is no policy {self._path}: policy should name a file that model.save wrote",
                 settings=("policy",),
             )
+        algorithm = _algorithm(self._algorithm)
         try:
-            return getattr(stable_baselines3, self._algorithm).load(self._path, device="cpu")
+            return algorithm.load(self._path, device="cpu")
         except Exception as error:
             raise ConfigError(f"{self._path} is not a policy of {self._algorithm}: {error}") from error
+
+
+def _algorithm(name: str) -> Any:
+    """Return the class of an algorithm."""
+    if name != _MASKED:
+        return getattr(stable_baselines3, name)
+    try:
+        import sb3_contrib
+    except ImportError:
+        raise ConfigError("MaskablePPO needs sb3-contrib: pip install 'glue-rl[sb3]'") from None
+    return sb3_contrib.MaskablePPO

@@ -1,9 +1,9 @@
 """Any Gymnasium environment as an RL-Glue environment: `glue-env gymnasium:CartPole-v1`.
 
-Its spaces become the task spec (see `glue.gym.spaces`), and its truncations those of the steps. Infos
-are not sent. An action of floats is clipped to its bounds; any other action that is not in the space is
-refused without stepping the environment. An observation that is not in its space is an error, except that
-floats may exceed their bounds.
+Its spaces become the task spec (see `glue.gym.spaces`), and its truncations those of the steps. Of its infos
+only those are sent that are asked for: the mask of the legal actions, and named values as extras. An action
+of floats is clipped to its bounds; any other action that is not in the space is refused without stepping the
+environment. An observation that is not in its space is an error, except that floats may exceed their bounds.
 
 Seeds are made for Gymnasium's generator, of 64 bits. Many environments draw from NumPy's old one: it is
 seeded, too, and a seed that their reset refuses is given again in fewer bits. An environment whose reset does
@@ -14,17 +14,18 @@ from __future__ import annotations
 
 import dis
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, Final
 
 import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
-from glue.errors import ConfigError, SimulatorError
+from glue.errors import ConfigError, SimulatorError, TaskSpecError
 from glue.global_seeds import seed_globals
 from glue.gym.codec import Codec
+from glue.gym.masks import MaskCodec
 from glue.gym.spaces import task_spec
-from glue.options import Option, keywords, with_options
+from glue.options import Option, keywords, option, with_options
 from glue.plugins.loading import import_user_module
 from glue.roles import Environment
 from glue.types import Action, Observation, Step
@@ -35,9 +36,19 @@ _TEXT: Final = "ansi"
 _SEEDS: Final = 2**63
 _OLD_SEEDS: Final = 2**31  # That fit C's int. NumPy's old generator takes twice as many.
 
-_MaxEpisodeSteps = Annotated[
-    int | None, Option("steps after which an episode is cut off, in place of the registered limit", low=1)
+_OURS: Final = [
+    option(
+        "max_episode_steps",
+        None,
+        Annotated[
+            int | None,
+            Option("steps after which an episode is cut off, in place of the registered limit", low=1),
+        ],
+    ),
+    option("action_mask", False, Annotated[bool, Option("send the action_mask of infos to the agent")]),
+    option("infos", "", Annotated[str, Option("values of infos to send as extras, by name: lives,score")]),
 ]
+"""Options of every environment, besides its own keywords."""
 
 
 class GymnasiumEnvironment(Environment):
@@ -46,20 +57,27 @@ class GymnasiumEnvironment(Environment):
     Args:
         make: makes the environment. It is called once by the constructor, for the spaces, and again after
             a cleanup.
+        masks: whether observations have the mask of their info's `action_mask`, if there is one; see
+            `glue.gym.masks`.
+        infos: names of the values in an info that become extras.
 
     The capability `save` is offered if the environment itself has methods `env_save` and `env_load`, as in
     `glue.roles`: Gymnasium has no save format that is safe to load.
 
     Raises:
-        ConfigError: a space cannot be described by a task spec.
+        ConfigError: a space cannot be described by a task spec, or an action of it not by a mask.
     """
 
-    def __init__(self, make: Callable[[], Any]) -> None:
+    def __init__(self, make: Callable[[], Any], *, masks: bool = False, infos: Sequence[str] = ()) -> None:
         self._make = make
         self._env: Any = make()
         self._observations = Codec(self._env.observation_space)
         self._actions = Codec(self._env.action_space)
-        self._task_spec = task_spec(self._observations, self._actions)
+        self._task_spec = task_spec(self._observations, self._actions, masks)
+        self._masks = _mask_codec(self._env.action_space) if masks else None
+        self._infos = infos
+        self.env_masks: bool = masks
+        self.env_extras: bool = bool(infos)
         self._seed: int | None = None
         self._seeds = _SEEDS
         self._playing = False
@@ -84,7 +102,7 @@ class GymnasiumEnvironment(Environment):
         """Reset the environment; return its observation."""
         seed, self._seed = self._seed, None
         try:
-            observation, _ = self._opened().reset(seed=seed if seed is None else seed % self._seeds)
+            observation, info = self._opened().reset(seed=seed if seed is None else seed % self._seeds)
         except (ValueError, OverflowError, TypeError):
             if seed is None or seed % self._seeds < _OLD_SEEDS:
                 raise
@@ -93,7 +111,7 @@ class GymnasiumEnvironment(Environment):
             self._env = self._make()  # Gymnasium's wrappers are of no use after a reset that failed.
             return self.env_start()
         self._playing = True
-        return self._shown(observation)
+        return self._shown(observation, info, False)
 
     def env_step(self, action: Action) -> Step:
         """Carry out an action.
@@ -104,9 +122,9 @@ class GymnasiumEnvironment(Environment):
         env = self._opened()
         if not self._playing:
             raise SimulatorError("no episode is being played: env_start begins one")
-        observation, reward, terminated, truncated, _ = env.step(self._actions.unpack(action))
+        observation, reward, terminated, truncated, info = env.step(self._actions.unpack(action))
         self._playing = not (terminated or truncated)
-        shown = self._shown(observation)
+        shown = self._shown(observation, info, bool(terminated))
         return Step(float(reward), shown, not self._playing, bool(truncated and not terminated))
 
     def env_cleanup(self) -> None:
@@ -127,14 +145,19 @@ class GymnasiumEnvironment(Environment):
             return None
         return str(self._env.render()).splitlines()
 
-    def _shown(self, observation: Any) -> Observation:
-        """Return an observation as ints, doubles and chars.
+    def _shown(self, observation: Any, info: Mapping[str, Any], terminated: bool) -> Observation:
+        """Return an observation as ints, doubles and chars, with what is asked for of its info.
 
         Raises:
-            SimulatorError: it is not in the space.
+            SimulatorError: it is not in the space, or its mask does not fit the actions.
+            LocalProtocolError: a value of the info is none that an extra may have.
         """
+        mask = None
+        if self._masks is not None and not terminated and (given := info.get("action_mask")) is not None:
+            mask = self._masks.pack(given)  # after the end no action is legal
+        extras = {name: info[name] for name in self._infos if name in info}
         try:
-            return Observation(*self._observations.pack(observation))
+            return Observation(*self._observations.pack(observation), mask=mask, extras=extras)
         except SimulatorError as error:
             raise SimulatorError(f"the environment's observation is not in its space: {error}") from None
 
@@ -167,7 +190,9 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
         {"render_mode": _TEXT} if _TEXT in getattr(creator, "metadata", {}).get("render_modes", ()) else {}
     )
 
-    def __init__(self: GymnasiumEnvironment, **options: Any) -> None:
+    def __init__(
+        self: GymnasiumEnvironment, *, action_mask: bool = False, infos: str = "", **options: Any
+    ) -> None:
         def make() -> Any:
             try:
                 return gymnasium.make(name, **drawn, **options)
@@ -177,15 +202,14 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
                 )
                 raise ConfigError(f"Gymnasium cannot make {name}: {why}") from error
 
-        GymnasiumEnvironment.__init__(self, make)
+        names = [name.strip() for name in infos.split(",") if name.strip()]
+        GymnasiumEnvironment.__init__(self, make, masks=action_mask, infos=names)
 
-    limit = inspect.Parameter(
-        "max_episode_steps", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_MaxEpisodeSteps
-    )
     options = keywords(creator, "keyword of the Gymnasium environment", spec.kwargs)
-    own = [option for option in options if option.name != "render_mode"]
+    taken = {"render_mode", *(ours.name for ours in _OURS)}
+    own = [keyword for keyword in options if keyword.name not in taken]
     members: dict[str, Any] = {
-        "__init__": with_options(__init__, [*own, limit]),
+        "__init__": with_options(__init__, [*own, *_OURS]),
         # Repeatability without a seed is up to its author.
         "__module__": getattr(creator, "__module__", __name__),
     }
@@ -193,6 +217,13 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
         members["env_seed"] = None
     about = f"Gymnasium's {spec.id}, served to RL-Glue agents (docs/gymnasium.md)."
     return type(spec.id.replace("/", "-"), (GymnasiumEnvironment,), {**members, "__doc__": about})
+
+
+def _mask_codec(space: Any) -> MaskCodec:
+    try:
+        return MaskCodec(space)
+    except TaskSpecError as error:
+        raise ConfigError(f"actions of {space} have no masks: {error}") from None
 
 
 def _reads_seed(creator: Any) -> bool:

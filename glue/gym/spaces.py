@@ -26,12 +26,13 @@ from gymnasium import spaces
 from glue.errors import ConfigError
 from glue.gym.codec import CHAR, DOUBLE, FLOATS, INT, INT32, Codec, SpaceLike
 from glue.taskspec import RL_GLUE_3, Range, Space, TaskSpec
+from glue.taskspec.spec import MASKS
 
 _MARK: Final = "LAYOUT "
 
 
-def task_spec(observations: Codec, actions: Codec) -> str:
-    """Return the task spec of an environment with these spaces.
+def task_spec(observations: Codec, actions: Codec, masks: bool = False) -> str:
+    """Return the task spec of an environment with these spaces, and perhaps masks of the legal actions.
 
     Raises:
         TaskSpecError: the task spec would be too long.
@@ -39,9 +40,8 @@ def task_spec(observations: Codec, actions: Codec) -> str:
     layout = json.dumps(
         {"observation": _layout(observations.space), "action": _layout(actions.space)}, separators=(",", ":")
     )
-    spec = TaskSpec(
-        RL_GLUE_3, "episodic", 1.0, observations.ranges, actions.ranges, Range(), f"{_MARK}{layout}"
-    )
+    extra = f"{MASKS} {_MARK}{layout}" if masks else f"{_MARK}{layout}"
+    spec = TaskSpec(RL_GLUE_3, "episodic", 1.0, observations.ranges, actions.ranges, Range(), extra)
     return str(spec)
 
 

@@ -30,6 +30,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from glue.errors import ConfigError
+from glue.pace import Pace
 from glue.wire.messages import MAX_BODY, MAX_NAME, Role
 
 DEFAULT_HUB: Final = "tcp://127.0.0.1:4097"
@@ -199,6 +200,7 @@ class HubConfig:
             By default a quarter of the machine's memory.
         insecure: allow addresses without keys that other machines can reach. Peers are not authenticated.
         time: limits of the agent in every session; None for none.
+        pace: of the environment in every session; by default, it waits for the agent.
         greeting: seconds that a connection may take part in no session; then it is dropped, at the
             next heartbeat.
         farewell: maximum number of seconds that the hub waits, when it ends, for its last messages to be read
@@ -217,6 +219,7 @@ class HubConfig:
     max_memory: int = field(default_factory=_quarter_of_memory)
     insecure: bool = False
     time: TimeLimits | None = None
+    pace: Pace = field(default_factory=Pace)
     greeting: float = 1.0
     farewell: float = 1.0
 

@@ -13,6 +13,7 @@ from typing import Final
 
 from glue.engine.engine import Engine
 from glue.hub.channel import Channel, Memory
+from glue.wire.beside import readable
 from glue.wire.codec import clip
 from glue.wire.messages import Kind, Message, Value
 
@@ -28,6 +29,7 @@ class _Observer:
     """Number of moments that an observer still wants, number of the latest, and whether it lacks the spec."""
 
     channel: Channel
+    capabilities: frozenset[str]
     wanted: int = 0
     number: int = 0
     spec_due: bool = True
@@ -52,9 +54,9 @@ class Observers:
         """The channels of the observers."""
         return list(self._all)
 
-    def join(self, channel: Channel, engine: Engine) -> None:
+    def join(self, channel: Channel, capabilities: frozenset[str], engine: Engine) -> None:
         """Let the peer of `channel` observe, and send it the task spec, if there is one."""
-        self._all[channel] = _Observer(channel)
+        self._all[channel] = _Observer(channel, capabilities)
         self._tell_spec(engine)
 
     def leave(self, channel: Channel) -> None:
@@ -84,11 +86,11 @@ class Observers:
             for observer in self._all.values():
                 self._tell(observer, Kind.OBSERVED_MESSAGE, (message,), body)
 
-    def _show(self, kind: Kind, scalars: tuple[Value, ...], *bodies: bytes) -> None:
+    def _show(self, kind: Kind, scalars: tuple[Value, ...], observation: bytes, action: bytes = b"") -> None:
         for observer in self._all.values():
             if not observer.wanted:
                 observer.number += 1
-            elif self._tell(observer, kind, scalars, *bodies):
+            elif self._tell(observer, kind, scalars, readable(observation, observer.capabilities), action):
                 observer.wanted -= 1
 
     def _tell(self, observer: _Observer, kind: Kind, scalars: tuple[Value, ...], *bodies: bytes) -> bool:

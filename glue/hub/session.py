@@ -15,11 +15,14 @@ from typing import Final, Protocol
 
 from glue.engine.calls import skippable, unfit_for_batch, unsupported
 from glue.engine.engine import Engine, Instruction
+from glue.engine.pacer import Pacer
 from glue.errors import PeerLost, RemoteProtocolError
 from glue.hub.channel import Channel, Memory
 from glue.hub.observers import Observers
 from glue.hub.timing import SlowCalls, TimeBank
-from glue.types import CUT_OFF, Action
+from glue.pace import Pace
+from glue.types import BESIDE_AT, CUT_OFF, NOTHING_BESIDE, Action, has_beside
+from glue.wire.beside import beside_without, readable, readable_by_agent
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
 
@@ -32,19 +35,33 @@ _ALWAYS: Final = frozenset(
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _ENV_STEP: Final = Kind.ENV_STEP
 _AGENT_STEP: Final = Kind.AGENT_STEP
+_ENV_START: Final = Kind.ENV_START
+_AGENT_START: Final = Kind.AGENT_START
 _ERROR: Final = Kind.ERROR
+_RL_ENV_START: Final = Kind.RL_ENV_START
+_RL_ENV_STEP: Final = Kind.RL_ENV_STEP
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
 
+_SHOWING: Final = frozenset({Kind.RL_AGENT_START, Kind.RL_AGENT_STEP})
+"""Verbs that give the agent an observation of the experiment's."""
+
+
 _LIGHT: Final = 2048
 """Maximum size of a body, in bytes, that a session keeps without accounting for it."""
 
-_BODIES: Final = 6
-"""Maximum number of bodies that a session keeps: those of the engine, and a reply of two."""
+_BODIES: Final = 7
+"""Maximum number of bodies that a session keeps: those of the engine, a copy of the observation without what
+the agent does not read, and a reply of two."""
 
 _BASE: Final = 10_240 + _BODIES * _LIGHT
 """Bytes that a session uses at most besides larger bodies: its engine, the names of its peers, and texts."""
+
+_PACED: Final = 4
+"""Maximum number of bodies that a pacer keeps, besides delayed actions: two calls and two actions."""
+
+_WAITING: Final = Pace()
 
 _MAX_QUERIES: Final = 8
 """Maximum number of requests without a call, between two calls, that are in turn."""
@@ -73,6 +90,8 @@ class Host(Protocol):
 
     memory: Memory
     log: Callable[[str], None]
+    now: float
+    at: Callable[[float, Callable[[float], None]], None]
 
     def deliver(self, peer: Peer, message: Message) -> None:
         """Send `message` to `peer`, or note that the peer cannot be reached."""
@@ -94,9 +113,11 @@ class Session:
         host: the hub.
         name: the session's name.
         time: limits the time of the agent; None for no limit.
+        pace: of the environment.
     """
 
     __slots__ = (
+        "_base",
         "_confirmed",
         "_due",
         "_engine",
@@ -106,6 +127,8 @@ class Session:
         "_lost",
         "_lost_since_reply",
         "_outstanding",
+        "_paced",
+        "_pacer",
         "_queries",
         "_queries_after",
         "_reply",
@@ -118,7 +141,7 @@ class Session:
         "time",
     )
 
-    def __init__(self, host: Host, name: str, time: TimeBank | None = None) -> None:
+    def __init__(self, host: Host, name: str, time: TimeBank | None = None, pace: Pace = _WAITING) -> None:
         self.name: str = name
         self.peers: dict[Role, Peer] = {}
         self.observers: Observers | None = None
@@ -129,6 +152,8 @@ class Session:
         self._seq = 0
         self._explained = 0  # the last call whose delay a player has explained
         self._outstanding: Message | None = None
+        self._pacer = _pacer(pace)
+        self._paced: Message | None = None  # with a pacer, the agent's outstanding call
         self._request_seq = 0
         self._reply: Message | None = None
         # Labels of lost players: from the reply before the last request to the reply to it, and since then.
@@ -139,12 +164,18 @@ class Session:
         self._due = False  # the size of the bodies that are kept has changed
         self._queries = 0  # number of requests without a call since the call `_queries_after`
         self._queries_after = 0
-        host.memory.account(self, _BASE)
+        self._base = _BASE + (0 if self._pacer is None else (pace.delay + _PACED) * _LIGHT)
+        host.memory.account(self, self._base)
 
     @property
     def num_steps(self) -> int:
         """The current RL_num_steps."""
         return self._engine.num_steps
+
+    @property
+    def num_late(self) -> int:
+        """The number of late actions since the last start."""
+        return 0 if self._pacer is None else self._pacer.num_late
 
     @property
     def in_session(self) -> bool:
@@ -157,13 +188,19 @@ class Session:
 
     def _account(self) -> None:
         """Account for the bodies that are kept."""
-        engine, reply = self._engine, self._reply
-        sizes = [len(body) for body in engine.bodies if body]
-        if reply is not None and reply.body is not engine.task_spec:
-            sizes.append(len(reply.body))
+        engine = self._engine
+        kept = engine.bodies
+        if self._pacer is not None:
+            kept += self._pacer.bodies
+        if self._reply is not None:
+            kept += (self._reply.body,)
+        sizes = [*{id(body): len(body) for body in kept if body}.values()]  # some are kept in two places
+        shown = engine.given if engine.verb in _SHOWING else engine.observation
+        if shown and has_beside(shown):
+            sizes.append(len(shown))  # at most that of the agent's copy
         self._due = False
         self._heavy = max(sizes, default=0) > _LIGHT
-        self._host.memory.account(self, _BASE + sum(sizes) if self._heavy else _BASE)
+        self._host.memory.account(self, self._base + sum(sizes) if self._heavy else self._base)
 
     def knows(self, role: Role, instance: bytes) -> bool:
         """Return whether `instance` was the last in that role, and has sent a request or an answer.
@@ -213,25 +250,28 @@ class Session:
         if not same:
             self._engine.replace(role)
         asked = self._engine.asked
-        if asked is None or CALLS[asked.kind].callee is not role:
-            return
-        if announce:
+        if announce and asked is not None and CALLS[asked.kind].callee is role:
             # The call was made while the role was empty: it was not sent, and may be another for this peer.
             self._advance(asked)
-        else:
+        elif not announce:
             self.repeat(peer)
 
     def repeat(self, peer: Peer) -> None:
         """Resend the message that `peer` may have missed; a peer ignores messages it has already received."""
-        missed = self._reply if peer.role is Role.EXPERIMENT else self._outstanding
-        if missed is not None and (peer.role is Role.EXPERIMENT or CALLS[missed.kind].callee is peer.role):
+        missed = self._reply if peer.role is Role.EXPERIMENT else self._awaited(peer.role)
+        if missed is not None:
             self._host.deliver(peer, missed)
 
-    def observe(self, channel: Channel) -> None:
-        """Let the peer of `channel` observe."""
+    def _awaited(self, role: Role) -> Message | None:
+        """Return the outstanding call to a player."""
+        asked = self._outstanding if self._pacer is None or role is Role.ENVIRONMENT else self._paced
+        return asked if asked is not None and CALLS[asked.kind].callee is role else None
+
+    def observe(self, peer: Peer) -> None:
+        """Let `peer` observe."""
         if self.observers is None:
             self.observers = Observers(self.name, self._host.memory)
-        self.observers.join(channel, self._engine)
+        self.observers.join(peer.channel, peer.capabilities, self._engine)
 
     def lose(self, peer: Peer, why: str, code: ErrorCode) -> None:
         """Remove `peer`: a lost player makes the episode void, a lost experiment is forgotten."""
@@ -252,6 +292,10 @@ class Session:
         reason = f"the {role} {peer.name} {why}"
         stranded = engine.verb is not None and (engine.in_episode or awaited)
         engine.void(reason)
+        if role is Role.AGENT:
+            self._release_agent()
+            if self._heavy:
+                self._account()
         if stranded:
             self._fail(code, reason)
 
@@ -264,7 +308,7 @@ class Session:
 
     def report_if_slow(self, now: float) -> None:
         """Report, at growing intervals, a player that has not answered its call."""
-        asked = self._outstanding
+        asked = self._paced or self._outstanding
         role = None if asked is None else CALLS[asked.kind].callee
         player = None if role is None else self.peers.get(role)
         explained = asked is not None and asked.seq == self._explained
@@ -277,14 +321,13 @@ class Session:
 
     def explain(self, player: Peer, message: Message) -> None:
         """Pass on, once per call, why the player's answer will take long."""
-        asked = self._outstanding
+        asked = self._awaited(player.role)
         if asked is None or asked.seq != message.seq or asked.seq == self._explained:
             return
-        if CALLS[asked.kind].callee is player.role:
-            self._explained = asked.seq
-            text = clip(f"{player.name}: {message.scalars[2]!s}")
-            self._host.log(f"session {self.name!r}: {player.role} {text}")
-            self._notify(Event.SLOW, player.role, text)
+        self._explained = asked.seq
+        text = clip(f"{player.name}: {message.scalars[2]!s}")
+        self._host.log(f"session {self.name!r}: {player.role} {text}")
+        self._notify(Event.SLOW, player.role, text)
 
     def request(self, peer: Peer, message: Message) -> bool:
         """Begin a verb of the experiment; return whether it was in turn."""
@@ -336,8 +379,10 @@ class Session:
         kind, _, seq, scalars, body = message
         outstanding = self._outstanding
         if outstanding is None or seq != outstanding[2] or _CALLEES[outstanding[0]] is not peer.role:
-            self._answered_out_of_turn(peer, message)
-            return False
+            outstanding = self._paced
+            if outstanding is None or seq != outstanding.seq or peer.role is not Role.AGENT:
+                self._answered_out_of_turn(peer, message)
+                return False
         if not peer.confirmed:
             self._confirm(peer)
         if self.time is not None and peer.role is Role.AGENT and (why := self.time.answered()) is not None:
@@ -350,9 +395,24 @@ class Session:
             return True
         if kind is _ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
             scalars = (scalars[0], True)  # to an older environment every nonzero number is true
+        if (kind is _ENV_STEP or kind is _ENV_START) and not body.startswith(NOTHING_BESIDE, BESIDE_AT):
+            unoffered = beside_without(body, peer.capabilities)
+            if unoffered:
+                text = f"it sent {unoffered} with {kind.name}, and does not offer the capability"
+                self._error(peer, message, ErrorCode.UNSUPPORTED, text)
+                self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} broke the protocol: {text}")
+                return True
         if self._heavy or len(body) > _LIGHT:
             self._replacing(kind, len(body))
         try:
+            if outstanding is self._paced:
+                assert self._pacer is not None
+                due = self._pacer.answered(kind, scalars, body, self._host.now)
+                self._ask_agent()
+                if due is None:
+                    return True
+                scalars, body = due
+                self._due = self._heavy
             instruction = self._engine.resume(kind, scalars, body)
         except RemoteProtocolError as error:
             self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
@@ -368,7 +428,7 @@ class Session:
         engine = self._engine
         before = {_ENV_STEP: engine.observation, _AGENT_STEP: engine.last_action}.get(kind)
         self._heavy = True
-        self._due = self._due or not before or len(before) != size
+        self._due = self._due or self._pacer is not None or not before or len(before) != size
 
     def _answered_out_of_turn(self, peer: Peer, message: Message) -> None:
         """Refuse an answer to a call that was never made; ignore a late or repeated answer.
@@ -390,9 +450,12 @@ class Session:
         role = _CALLEES[kind]
         if role is None:
             self._outstanding = None
-            if type(body) is tuple:
-                body = body[0] + body[1]
             experiment = self.peers.get(Role.EXPERIMENT)
+            reads = experiment.capabilities if experiment is not None else frozenset()
+            if type(body) is tuple:
+                body = readable(body[0], reads) + body[1]
+            elif kind is _RL_ENV_STEP or kind is _RL_ENV_START:
+                body = readable(body, reads)
             if kind is Kind.RL_EPISODE and experiment is not None and OUTCOME in experiment.capabilities:
                 scalars += (self._engine.total_reward, self._engine.num_steps)
             reply = _message(Message, (kind, self.name, self._request_seq, scalars, body or b""))
@@ -406,9 +469,23 @@ class Session:
                 return
             environment = self.peers.get(Role.ENVIRONMENT)
             games = environment.capabilities if environment is not None else ()
-            if kind is Kind.AGENT_INIT and (why := unfit_for_batch(games, player.capabilities, player.name)):
-                self._fail(ErrorCode.UNSUPPORTED, why)
-                return
+            if kind is Kind.AGENT_INIT:
+                why = unfit_for_batch(games, player.capabilities, player.name, self._pacer is not None)
+                if self._pacer is not None:
+                    why = why or self._pacer.unfit(body.decode(errors="replace"))
+                if why:
+                    self._fail(ErrorCode.UNSUPPORTED, why)
+                    return
+        if (kind is _AGENT_STEP or kind is _AGENT_START) and not body.startswith(NOTHING_BESIDE, BESIDE_AT):
+            body = readable_by_agent(body, player.capabilities if player is not None else ())
+        if self._pacer is not None and role is Role.AGENT:
+            self._outstanding = None
+            if player is not None:  # or else the call is made when one joins
+                self._pacer.call(Instruction(kind, scalars, body), self._host.now)
+                self._ask_agent()
+                if self._pacer.deadline is not None:
+                    self._host.at(self._pacer.deadline, self._act)
+            return
         self._seq += 1
         body = body or b""
         self._outstanding = outstanding = _message(Message, (kind, self.name, self._seq, scalars, body))
@@ -419,6 +496,37 @@ class Session:
                 self.time.called(kind)
             self._host.deliver(player, outstanding)
 
+    def _ask_agent(self) -> None:
+        """Make the call to the agent whose turn it is, if it is free."""
+        assert self._pacer is not None
+        agent = self.peers[Role.AGENT]
+        call = self._pacer.next_call(self._host.now, "pace" in agent.capabilities)
+        if self._pacer.asked is None:
+            self._paced = None
+        if self._due:
+            self._account()
+        if call is None:
+            return
+        self._seq += 1
+        self._paced = _message(Message, (call.kind, self.name, self._seq, call.scalars, call.body or b""))
+        if self.time is not None:
+            self.time.called(call.kind)
+        self._host.deliver(agent, self._paced)
+
+    def _act(self, now: float) -> None:
+        """Give the engine the action of the step that is due, unless that was forgotten since."""
+        pacer = self._pacer
+        if pacer is not None and pacer.deadline is not None and pacer.deadline <= now:
+            self._host.now = now
+            self._due = self._heavy
+            self._advance(self._engine.resume(_AGENT_STEP, *pacer.due()))
+
+    def _release_agent(self) -> None:
+        """Expect no more answers to the agent's calls, if it has a pacer."""
+        if self._pacer is not None:
+            self._pacer.reset()
+            self._paced = None
+
     def _without_capability(self, kind: Kind, role: Role, player: Peer) -> None:
         if skippable(kind):
             self._advance(self._engine.resume(kind, (), b""))
@@ -427,6 +535,7 @@ class Session:
 
     def _fail(self, code: ErrorCode, text: str) -> None:
         self._engine.abort()
+        self._release_agent()
         self._outstanding = None
         self._answer_experiment(Message(Kind.ERROR, self.name, self._request_seq, (str(code), clip(text))))
 
@@ -449,6 +558,7 @@ class Session:
     def _forget_experiment(self) -> None:
         self._confirmed.pop(Role.EXPERIMENT, None)
         self._engine.abort()
+        self._release_agent()
         self._engine = Engine(Action().body)
         self._outstanding = None
         self._request_seq = 0
@@ -456,3 +566,9 @@ class Session:
         self._lost, self._lost_since_reply = {}, {}
         if self._heavy:
             self._account()
+
+
+def _pacer(pace: Pace) -> Pacer | None:
+    """Return what answers an engine at a pace; None if it waits for the agent."""
+    action = pace.action
+    return Pacer(pace, Action().body, None if action is None else action.body) if pace else None

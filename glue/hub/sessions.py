@@ -22,7 +22,18 @@ from glue.hub.session import Peer, Session
 from glue.hub.timing import TimeBank
 from glue.roles import CAPABILITIES
 from glue.wire.codec import UnknownKind, clip
-from glue.wire.messages import CALLS, OUTCOME, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import (
+    BESIDE,
+    CALLS,
+    OUTCOME,
+    PROTOCOL_VERSION,
+    ErrorCode,
+    Event,
+    Kind,
+    Message,
+    Role,
+    Value,
+)
 
 INSTANCE_SIZE: Final = 16
 """Size in bytes of the random number that identifies a peer across connections."""
@@ -48,9 +59,12 @@ class Sessions:
         log: called with one line for people about each peer that joins, leaves or is slow to answer.
         clock: returns seconds, to measure the time of agents if `config` limits it; by default the time of
             the last message or tick.
+        at: calls a function, with the time, when a time has come; needed if `config` has a pace.
         processor: as of `TimeBank`, of the agent of every session.
 
     Attributes:
+        at: as given.
+        now: the time of the last message or tick, or at which something was due.
         memory: bounds the memory of sessions, and of everything else that the hub keeps.
     """
 
@@ -59,13 +73,15 @@ class Sessions:
         config: HubConfig,
         log: Callable[[str], None],
         clock: Callable[[], float] | None = None,
+        at: Callable[[float, Callable[[float], None]], None] = lambda time, work: None,
         processor: Callable[[], float | None] | None = None,
     ) -> None:
         self.memory: Memory = Memory(config.max_memory)
         self._config = config
         self.log = log
-        self._now = 0.0
-        self._clock = clock or (lambda: self._now)
+        self.at = at
+        self.now: float = 0.0
+        self._clock = clock or (lambda: self.now)
         self._processor = processor
         self._by_name: dict[str, Session] = {}
         self._joined: dict[Channel, dict[str, Peer]] = {}
@@ -85,6 +101,10 @@ class Sessions:
         """Return the current RL_num_steps of a session that has a peer."""
         return self._by_name[session].num_steps
 
+    def num_late(self, session: str) -> int:
+        """Return the number of late actions since the last start in a session that has a peer."""
+        return self._by_name[session].num_late
+
     def time_left(self, session: str) -> tuple[float, float] | None:
         """Return `TimeBank.left` of a session's agent; None if its time is not limited, or it is gone."""
         found = self._by_name.get(session)
@@ -101,7 +121,7 @@ class Sessions:
 
         The answer to the outstanding call is in turn, and so is a request while none is being carried out.
         """
-        self._now = now
+        self.now = now
         joined = self._joined.get(channel)
         kind = message[0]
         peer = None if joined is None else joined.get(message[1])
@@ -133,7 +153,7 @@ class Sessions:
 
         A message of an unknown kind, which may be of a newer protocol, is only answered with an ERROR.
         """
-        self._now = now
+        self.now = now
         if isinstance(error, UnknownKind):
             message = Message(Kind.ERROR, error.session, error.seq)
             self._error(channel, message, ErrorCode.UNKNOWN_KIND, str(error))
@@ -143,13 +163,13 @@ class Sessions:
 
     def lose(self, channel: Channel, why: str, now: float, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         """Continue without the peers of `channel`; `why` completes a sentence about them."""
-        self._now = now
+        self.now = now
         for peer in list(self._joined.get(channel, {}).values()):
             self._lose(peer, why, code)
 
     def tick(self, now: float) -> None:
         """Send every connection a heartbeat, and give up peers that have been unreachable for too long."""
-        self._now = now
+        self.now = now
         for channel, joined in list(self._joined.items()):
             reached = self.send(channel, Message(Kind.HEARTBEAT, "", 0))
             for peer in list(joined.values()):
@@ -188,10 +208,9 @@ class Sessions:
 
     def _greet(self, channel: Channel, message: Message) -> tuple[ErrorCode, str] | None:
         """Admit the sender of a HELLO, or return why not."""
-        versions, role_name, instance, name, codec, capabilities = message.scalars
+        versions, role_name, instance, name, codec, _ = message.scalars
         assert isinstance(versions, tuple)
         assert isinstance(instance, bytes)
-        assert isinstance(capabilities, tuple)
         assert isinstance(name, str)
         assert isinstance(codec, str)
         if PROTOCOL_VERSION not in versions:
@@ -227,7 +246,8 @@ class Sessions:
                 return ErrorCode.FULL, text
             limits = self._config.time
             bank = None if limits is None else TimeBank(limits, self._clock, self._processor)
-            session = self._by_name[message.session] = Session(self, message.session, bank)
+            session = Session(self, message.session, bank, self._config.pace)
+            self._by_name[message.session] = session
         other = joined.get(message.session)
         if other is not None and other.role is not role:
             return ErrorCode.MALFORMED, f"this connection is already the {other.role} of the session"
@@ -247,8 +267,7 @@ class Sessions:
                 # It has missed nothing. Sending more again would let it fill the hub's memory.
                 return None
             self._remove(current)
-        offered = _KNOWN.intersection(map(str, capabilities))
-        peer = Peer(session, role, channel, instance, *_named(name, codec), offered, known)
+        peer = Peer(session, role, channel, instance, *_named(name, codec), _offered(message), known)
         self._by_name[session.name] = session
         self._joined.setdefault(channel, {})[session.name] = peer
         if current is None:
@@ -258,7 +277,16 @@ class Sessions:
 
     def _welcome(self, channel: Channel, message: Message, resumed: bool) -> None:
         config = self._config
-        welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.timeout, config.max_body)
+        welcome: tuple[Value, ...] = (
+            PROTOCOL_VERSION,
+            resumed,
+            config.heartbeat,
+            config.timeout,
+            config.max_body,
+        )
+        beside = sorted(_offered(message) & BESIDE)
+        if beside:
+            welcome += (tuple(beside),)
         self.send(channel, Message(Kind.WELCOME, message.session, message.seq, welcome))
 
     def _greet_observer(
@@ -282,12 +310,12 @@ class Sessions:
             for other in gone:
                 self._lose(other, "is gone")
         peer = Peer(
-            session, Role.OBSERVER, channel, instance, *_named(name, codec), frozenset(), confirmed=True
+            session, Role.OBSERVER, channel, instance, *_named(name, codec), _offered(message), confirmed=True
         )
         self._joined.setdefault(channel, {})[session.name] = peer
         self.log(f"session {session.name!r}: observer {peer.label} joined")
         self._welcome(channel, message, resumed=False)
-        session.observe(channel)
+        session.observe(peer)
         return None
 
     def _observers(self, session: Session) -> list[Peer]:
@@ -353,7 +381,14 @@ class Sessions:
 
     def _mark_unreachable(self, peer: Peer) -> None:
         if peer.unreachable_since is None:
-            peer.unreachable_since = self._now
+            peer.unreachable_since = self.now
+
+
+def _offered(hello: Message) -> frozenset[str]:
+    """Return the capabilities of a HELLO that matter here."""
+    capabilities = hello.scalars[-1]
+    assert isinstance(capabilities, tuple)
+    return _KNOWN.intersection(map(str, capabilities))
 
 
 def _named(name: str, codec: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from glue.batches import Batch, Ragged, batch_task_spec, pack_batch, unpack_acti
 from glue.engine.calls import Answer, role_calls
 from glue.errors import ConfigError, PeerFailed
 from glue.installed import entry_points
-from glue.roles import Environment, EnvironmentLike, SeedableEnvironment, offers
+from glue.roles import Environment, EnvironmentLike, MaskEnvironment, SeedableEnvironment, offers
 from glue.types import CUT_OFF, Action, Observation, Step
 from glue.wire.messages import Kind, Role
 
@@ -46,12 +46,14 @@ class BatchedEnvironments(Environment):
         environments: at least one.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is none, or one has masks, for which a batch has no place; extras are left out.
     """
 
     def __init__(self, environments: Sequence[EnvironmentLike]) -> None:
         if not environments:
             raise ConfigError("a batch has at least one environment")
+        if any(offers(environment, MaskEnvironment) for environment in environments):
+            raise ConfigError("a batch of games carries no masks of the legal actions: play them singly")
         self.__wrapped__: EnvironmentLike = environments[0]
         self._environments = [*environments]
         self._calls = [role_calls(Role.ENVIRONMENT, environment) for environment in environments]

@@ -22,7 +22,7 @@ from typing import Annotated, Any, ClassVar, Final, TypeVar
 import numpy as np
 
 from glue.errors import ConfigError, LocalProtocolError
-from glue.options import Option, keywords, with_options
+from glue.options import Option, keywords, option, with_options
 from glue.roles import Agent, Environment
 from glue.types import AbstractType, Action, Observation, Step, arrays_of
 
@@ -79,9 +79,7 @@ class EnvironmentAdapter(Adapter):
     """
 
     seeded_by: ClassVar[str] = "env_seed"
-    own_options: ClassVar[tuple[inspect.Parameter, ...]] = (
-        inspect.Parameter("task_spec", inspect.Parameter.KEYWORD_ONLY, default="", annotation=_TaskSpec),
-    )
+    own_options: ClassVar[tuple[inspect.Parameter, ...]] = (option("task_spec", "", _TaskSpec),)
 
     def __init__(self, *, task_spec: str = "", **options: Any) -> None:
         super().__init__(**options)

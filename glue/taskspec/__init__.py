@@ -12,6 +12,7 @@ Source: RL-Glue 3.0 task spec language; for Mario-v1, RL-Competition 2009.
 
 from __future__ import annotations
 
+from glue.taskspec.masks import legal_values, mask_sizes
 from glue.taskspec.parser import parse_task_spec
 from glue.taskspec.space import NEGINF, POSINF, UNSPEC, Bound, Range, Ranges, Space
 from glue.taskspec.spec import MARIO, MAX_LENGTH, RL_GLUE_3, TaskSpec
@@ -28,5 +29,7 @@ __all__ = [
     "Ranges",
     "Space",
     "TaskSpec",
+    "legal_values",
+    "mask_sizes",
     "parse_task_spec",
 ]

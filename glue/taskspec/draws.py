@@ -38,6 +38,8 @@ class Draws:
         if self._values:
             ends = [window(range_, INT32_MIN, INT32_MAX) for range_ in space.ints]
             self._lows, self._highs = np.array(ends + [(0, 2**32 - 1)] * words).astype(np.int64).T
+        self._next = 1  # number of values drawn at once the next time, so that settling often costs little
+        self._count = 0  # of those drawn the last time
         self._before = generator.bit_generator.state
         self._ahead: list[bytes] = []
 
@@ -50,16 +52,18 @@ class Draws:
         if not self._ahead:
             if not self._values:
                 return AbstractType(*self._space.sample(self._generator)).body
+            self._count, self._next = self._next, min(2 * self._next, self._values)
             self._before = self._generator.bit_generator.state
-            self._ahead = self._bodies(self._numbers(self._values))
+            self._ahead = self._bodies(self._numbers(self._count))
         return self._ahead.pop()
 
     def settle(self) -> np.random.Generator:
         """Return the generator, in its state after the values drawn so far."""
         if self._ahead:
             self._generator.bit_generator.state = self._before
-            self._numbers(self._values - len(self._ahead))
+            self._numbers(self._count - len(self._ahead))
             self._ahead = []
+        self._next = 1
         return self._generator
 
     def _numbers(self, values: int) -> npt.NDArray[np.int64]:

@@ -12,6 +12,9 @@ from glue.taskspec.space import Range, Space
 RL_GLUE_3: Final = "RL-Glue-3.0"
 MARIO: Final = "Mario-v1"
 
+MASKS: Final = "masks"
+"""Word in EXTRA of an environment whose observations may say which actions are legal."""
+
 MAX_LENGTH: Final = 2**16
 """Maximum length of a task spec, in characters."""
 
@@ -65,6 +68,11 @@ class TaskSpec:
                 f"a task spec has at most {MAX_LENGTH} characters; "
                 f"the canonical text of this one has {length}"
             )
+
+    @property
+    def masks(self) -> bool:
+        """Whether observations may have masks of the legal actions: EXTRA has the word `masks`."""
+        return MASKS in self.extra.split()
 
     @classmethod
     def private(cls, version: str, text: str = "") -> Self:

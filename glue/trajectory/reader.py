@@ -114,7 +114,7 @@ def _episode(
             _check_size(unpacked, begin, len(answers))
             continue
         reward = unpacked.take(REWARD.size)
-        action, observation = unpacked.body(limits.MAX_BODY), unpacked.body(limits.MAX_BODY)
+        action, observation = unpacked.action(limits.MAX_BODY), unpacked.body(limits.MAX_BODY)
         steps.append(reward, action, observation, kind == TERMINAL_STEP)
         _check_size(unpacked, begin, len(steps))
         if kind == TERMINAL_STEP:
@@ -146,7 +146,7 @@ def _block(unpacked: Unpacked, end: int) -> Block:
         raise unpacked.malformed(f"a block of {steps} steps with {k} actions and {m} rewards")
     actions = []
     for _ in range(k):
-        actions.append(unpacked.body(limits.MAX_BODY))
+        actions.append(unpacked.action(limits.MAX_BODY))
         if unpacked.offset > end:
             raise unpacked.malformed(f"an episode of more than {limits.MAX_EPISODE} bytes")
 

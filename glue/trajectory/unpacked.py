@@ -7,7 +7,7 @@ import zlib
 from typing import BinaryIO, Final
 
 from glue.errors import GlueError
-from glue.types import PREFIX_SIZE, body_size
+from glue.types import PREFIX_SIZE, body_size, has_beside
 
 GZIP: Final = 31  # zlib's number for "with gzip's header and checksum"
 _PIECE: Final = 2**16  # bytes read, and unpacked, at a time
@@ -73,6 +73,13 @@ class Unpacked:
         if size > limit:
             raise self.malformed(f"an observation or action of {size} bytes; {limit} are allowed")
         return self.take(size)
+
+    def action(self, limit: int) -> bytes:
+        """Return the next abstract type's body like `body`, of an action."""
+        body = self.body(limit)
+        if has_beside(body):
+            raise self.malformed("an action with a mask or extras, which only an observation can have")
+        return body
 
     def text(self, limit: int) -> str:
         """Return the next length and text, of at most `limit` bytes."""

@@ -15,7 +15,7 @@ from typing import Final
 import msgpack
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.types import CUT_OFF, body_size
+from glue.types import CUT_OFF, body_size, has_beside
 from glue.wire.messages import (
     CALLS,
     CONTROL,
@@ -50,6 +50,8 @@ FROM_HUB: Final[Mapping[Kind, Shape]] = {
     **OBSERVING,
 }
 """Messages from the hub: the other half of each call."""
+
+_METRICS: Final = frozenset({Kind.AGENT_METRICS, Kind.RL_AGENT_METRICS})
 
 _KINDS: Final = {int(kind): kind for kind in Kind}
 
@@ -195,11 +197,16 @@ def _check_body(kind: Kind, body_kind: Body, body: bytes, max_body: int) -> None
         raise RemoteProtocolError(f"the body of {kind.name} has {size} bytes; {max_body} are allowed")
     if body_kind is Body.OBSERVATION or body_kind is Body.ACTION:
         expected = body_size(body)
+        bare = body_kind is Body.ACTION or kind in _METRICS
+        at = 0
     elif body_kind is Body.OBSERVATION_ACTION:
-        expected = body_size(body)
-        expected += body_size(body, min(expected, size))
+        at = min(body_size(body), size)
+        expected = at + body_size(body, at)
+        bare = True
     else:
         return
+    if bare and has_beside(body, at):
+        raise RemoteProtocolError(f"bytes 12 to 15 of an action or of metrics in {kind.name} must be zero")
     if expected != size:
         raise RemoteProtocolError(
             f"the counts in the body of {kind.name} say {expected} bytes; it has {size}"

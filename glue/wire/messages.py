@@ -34,6 +34,15 @@ Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, .
 OUTCOME: Final = "outcome"
 """Capability of an experiment that accepts the return and number of steps with the end of an episode."""
 
+MASK: Final = "mask"
+"""Capability of a peer that sends or reads masks of the legal actions."""
+
+EXTRAS: Final = "extras"
+"""Capability of an environment that sends extras, and of an experiment or observer that reads them."""
+
+BESIDE: Final = frozenset({MASK, EXTRAS})
+"""The capabilities for what an observation carries beside its numbers; a hub that has them says so."""
+
 
 class Role(StrEnum):
     """The three programs of RL-Glue, and observers of them."""
@@ -212,6 +221,8 @@ _ENV_STEP_REPLY = Shape((_REWARD, _TERMINAL), Body.OBSERVATION)
 _SEED = Shape((Scalar("seed", int),))
 _RETURN = Scalar("return", float)
 _NUM_STEPS = Scalar("num_steps", int)
+_DEADLINE = Scalar("deadline", float)
+_LATENCY = Scalar("latency", float)
 
 _A, _E = Role.AGENT, Role.ENVIRONMENT
 
@@ -227,7 +238,7 @@ CALLS: Final[Mapping[Kind, Call]] = MappingProxyType(
         Kind.ENV_LOAD: Call(_E, _BLOB, _EMPTY, "save"),
         Kind.AGENT_INIT: Call(_A, _TEXT, _EMPTY),
         Kind.AGENT_START: Call(_A, _OBSERVATION, _ACTION),
-        Kind.AGENT_STEP: Call(_A, _REWARD_OBSERVATION, _ACTION),
+        Kind.AGENT_STEP: Call(_A, Shape((_REWARD,), Body.OBSERVATION, more=(_DEADLINE, _LATENCY)), _ACTION),
         Kind.AGENT_END: Call(_A, Shape((_REWARD,)), _EMPTY),
         Kind.AGENT_CLEANUP: Call(_A, _EMPTY, _EMPTY),
         Kind.AGENT_MESSAGE: Call(_A, _TEXT, _TEXT),
@@ -279,7 +290,8 @@ CONTROL: Final[Mapping[Kind, Shape]] = MappingProxyType(
                 Scalar("heartbeat", float),
                 Scalar("timeout", float),
                 Scalar("max_body", int),
-            )
+            ),
+            more=(Scalar("capabilities", tuple, items=str),),
         ),
         Kind.REFUSE: Shape((Scalar("code", str), Scalar("text", str))),
         Kind.HEARTBEAT: _EMPTY,

@@ -36,7 +36,7 @@ _NO_SCALARS: Final[tuple[Value, ...]] = ()
 _NOTHING: Final = struct.Struct("")
 """Format that unpacks nothing, so that the first message fits no shape."""
 
-_COUNTS: Final = struct.Struct("<4I")
+_COUNTS: Final = struct.Struct("<3I2H")
 _SCALARS: Final = ("", "Bd", "BdB")
 """Formats of 0, 1 and 2 scalars: a reward is a type and eight bytes, a terminal is one byte."""
 
@@ -92,12 +92,13 @@ class StepFormat:
         kind: as given.
         session: as given.
         lead: the bytes of the first frame before its sequence number, as `lead_of` finds them.
+        is_action: whether the abstract type is an action.
         num_scalars: number of scalars.
         number_at: offset of the sequence number in the message.
         max_seq: the largest sequence number that it can encode, 2**32 - 1.
     """
 
-    __slots__ = ("_layouts", "kind", "lead", "num_scalars", "number_at", "session")
+    __slots__ = ("_layouts", "is_action", "kind", "lead", "num_scalars", "number_at", "session")
 
     max_seq: Final = 2**32 - 1
 
@@ -105,6 +106,7 @@ class StepFormat:
         assert shape.body in (Body.OBSERVATION, Body.ACTION)
         self.kind: Kind = kind
         self.session: str = session
+        self.is_action: bool = shape.body is Body.ACTION
         self.num_scalars: int = len(shape.scalars)
         self.lead: bytes = msgpack.packb((int(kind), session, 0, *([None] * self.num_scalars)))[
             : -1 - self.num_scalars
@@ -215,7 +217,7 @@ class StepReader:
             head = layout.long if data[at + layout.head] else layout.short
             start, seq, *scalars, flags, size = head.unpack_from(data, at)
             body_at = at + head.size
-            ints, doubles, chars, reserved = _COUNTS.unpack_from(data, body_at)
+            ints, doubles, chars, mask, extras = _COUNTS.unpack_from(data, body_at)
             types, scalars = scalars[:1], scalars[1:]
             if self._num_scalars == 2:
                 scalars[1] = _TERMINALS[scalars[1]]
@@ -228,8 +230,8 @@ class StepReader:
             or end > len(data)
             or (flags and flags != LONG)
             or size > max_body
-            or size != PREFIX_SIZE + 8 * doubles + 4 * ints + chars
-            or reserved
+            or size != PREFIX_SIZE + 8 * doubles + 4 * ints + chars + mask + extras
+            or (self._form.is_action and (mask or extras))
         ):
             return None
         self.end = end

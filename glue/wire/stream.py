@@ -180,7 +180,7 @@ class Stream:
         form = self._written.get(session)
         if form is None or form.kind is not kind:
             form = self._learn(kind, session) if kind in STEPS else None
-        if form is not None and seq <= StepFormat.max_seq:
+        if form is not None and seq <= StepFormat.max_seq and len(scalars) == form.num_scalars:
             head = form.head(seq, scalars, len(body))
             if self._mechanism is None:
                 return head, body

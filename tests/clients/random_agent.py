@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from glue.roles import Agent
+from glue.taskspec import legal_values
 from glue.types import Action, Observation
 
 
@@ -39,6 +40,7 @@ class RandomAgent(Agent):
     """Acts at random within the bounds of the task spec, with a generator available to any language."""
 
     name = "random"
+    agent_masks = True
 
     def __init__(self) -> None:
         self._generator = Generator(0)
@@ -51,10 +53,13 @@ class RandomAgent(Agent):
         self._bounds = bounds_of(task_spec)
 
     def agent_start(self, observation: Observation) -> Action:
-        return self._act()
+        return self._act(observation)
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
-        return self._act()
+        return self._act(observation)
 
-    def _act(self) -> Action:
-        return Action([low + self._generator.draw(high - low + 1) for low, high in self._bounds])
+    def _act(self, observation: Observation) -> Action:
+        legal = legal_values(observation, tuple(high - low + 1 for low, high in self._bounds))
+        values = [flags.nonzero()[0] for flags in legal]
+        bounds = zip(self._bounds, values, strict=True)
+        return Action([low + int(each[self._generator.draw(len(each))]) for (low, _), each in bounds])

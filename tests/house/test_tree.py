@@ -19,7 +19,7 @@ GLOBAL_SEEDS: Final = "glue/global_seeds.py"
 HOMES: Final[Mapping[str, Sequence[str]]] = {
     "zmq": ["glue/client/libzmq.py"],
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
-    "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
+    "msgpack": ["glue/extras.py", "glue/wire/*", "experiment_runner/executors/job.py"],
     "msgspec": [
         "experiment_runner/competition/records/*",
         "experiment_runner/competition/season/*",
@@ -45,7 +45,8 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
     "gymnasium": ["glue/gym/*", "glue/openenv/*", "env_server/gym/*", "env_server/datasets/*"],
-    "stable_baselines3": ["glue/gym/sb3.py"],
+    **{key: ["glue/gym/sb3.py"] for key in ("sb3_contrib", "stable_baselines3")},
+    "pettingzoo": ["glue/gym/games.py"],
     "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*", "experiment_runner/competition/season/entrance.py"],
     "prometheus_client": ["experiment_runner/view/season/metrics.py"],

@@ -5,6 +5,7 @@ every observation, action and reward that follows."""
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable
 from functools import cache
@@ -12,11 +13,15 @@ from typing import Any, NamedTuple
 
 from glue.engine.engine import role_seed
 from glue.engine.experiment import Experiment, Start
+from glue.engine.local import local
+from glue.pace import Pace
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
 
 Pause = Callable[[], None]
+
+WAITING = Pace()
 
 
 def nothing() -> None:
@@ -87,9 +92,11 @@ class BusyAgent(_Busy, Agent):
     """An agent that digests its calls."""
 
     _letter = b"y"
+    _rewards = 0.0
     agent_seed, agent_save, agent_load = _Busy._seed, _Busy._save, _Busy._load
 
     def agent_init(self, task_spec: str) -> None:
+        self._rewards = 0.0
         self._mix(task_spec.encode())
 
     def agent_start(self, observation: Observation) -> Action:
@@ -97,17 +104,19 @@ class BusyAgent(_Busy, Agent):
         return Action(**self._answer())
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
+        self._rewards += reward
         self._mix(repr(reward).encode() + observation.body)
         return Action(**self._answer())
 
     def agent_end(self, reward: float) -> None:
+        self._rewards += reward
         self._mix(repr(reward).encode())
 
     def agent_cleanup(self) -> None:
         self._mix(b"cleanup")
 
     def agent_message(self, message: str) -> str:
-        return message.upper()
+        return repr(self._rewards) if message == "rewards" else message.upper()
 
 
 class _Games(BusyEnvironment):
@@ -185,6 +194,36 @@ def play(glue: Experiment | _Direct, block: Block, pause: Pause = nothing) -> li
     return seen
 
 
+def play_timed(glue: Experiment, block: Block, bulk: int, pause: Pause = nothing) -> str:
+    """Play a block whose environment does not wait; return what is wrong, or nothing.
+
+    Whatever the agent's actions were, and whichever of them were late: the environment is repeated exactly by
+    those that were carried out, and the agent is given each reward once.
+    """
+    again = environment(bulk, False)
+    again.env_seed(role_seed(block.seed, Role.ENVIRONMENT))
+    if glue.rl_init(block.seed) != again.env_init():
+        return "another task spec"
+    total = 0.0
+    for number, _ in enumerate(block.styles):
+        observation, action = glue.rl_start()
+        if observation != again.env_start():
+            return f"episode {number} starts otherwise"
+        for at in range(block.steps):
+            pause()
+            step, repeated = glue.rl_step(), again.env_step(action)
+            if step[:4] != repeated[:4]:
+                return f"step {at} of episode {number} is {step[:4]!r:.80}, repeated {repeated[:4]!r:.80}"
+            assert step.action is not None
+            total, action = total + step.reward, step.action
+            if step.terminal:
+                break
+    given = float(glue.rl_agent_message("rewards"))
+    glue.rl_cleanup()
+    again.env_cleanup()
+    return "" if math.isclose(given, total) else f"the agent was given {given} of {total}"
+
+
 class _Direct:
     """RL-Glue's verbs over two objects, without engine or hub."""
 
@@ -251,6 +290,8 @@ class _Direct:
 
 
 @cache
-def expected(block: Block, bulk: int, many: bool) -> list[Any]:
-    """Return the results of a block whose players are called directly."""
+def expected(block: Block, bulk: int, many: bool, pace: Pace = WAITING) -> list[Any]:
+    """Return the results of a block whose players are called directly, or at a pace."""
+    if pace:
+        return play(local(agent(bulk, many), environment(bulk, many), pace=pace), block)
     return play(_Direct(agent(bulk, many), environment(bulk, many)), block)

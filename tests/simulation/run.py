@@ -24,6 +24,7 @@ from glue.hub.io import channels
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
 from glue.keys.certificates import KeyPair, write_pair
+from glue.pace import Pace
 from glue.system import clock, network
 from glue.wire import zmtp
 from glue.wire.messages import PROTOCOL_VERSION, Kind, Message, Role
@@ -31,7 +32,7 @@ from glue.wire.stream import Stream
 from tests.simulation.faults import Fault, drawn
 from tests.simulation.lying import Lying
 from tests.simulation.net import CAPACITY, Net, Socket
-from tests.simulation.programs import Block, agent, environment, expected, play
+from tests.simulation.programs import Block, agent, environment, expected, play, play_timed
 from tests.simulation.watching import Watch
 from tests.simulation.world import Process, Stuck, World, replacing
 
@@ -158,6 +159,7 @@ class Run:
         elif pieces.random() < 0.2:
             pieces.choice(self.sessions).bulk = 60_000
         self.unsent = random.choice((64 * 2**20, 64 * 2**20, 400))
+        self.pace = self._draw_pace()
         self.heartbeat = random.choice((1.0, 1.0, 0.2))
         self.timeout = random.choice((5.0, 5.0, 1.5))
         self.hub: Process
@@ -168,6 +170,17 @@ class Run:
         self.liars: dict[int, Callable[[Any], Any]] = {}
         self.watch = Watch(self, trace)
         self.random = Random(seed + 7)
+
+    def _draw_pace(self) -> Pace:
+        """Return the pace of the environments, which wait in most of the runs."""
+        random = Random(f"clock {self.seed}")
+        if random.random() >= 0.15:
+            return Pace()
+        for session in self.sessions:
+            session.many = False  # many games at once have no pace
+        if random.random() < 0.3 or (self.inside and self.seed % 4 == 2):
+            return Pace(delay=random.randint(1, 3))
+        return Pace(random.choice((2.0, 20.0, 200.0)), random.choice(("repeat", "7")))
 
     def _draw_liar(self) -> tuple[Role, Session] | None:
         """Return the player that lies, in some of the runs."""
@@ -183,10 +196,10 @@ class Run:
         if self.keyed:
             _, hub, peer, _, _ = key_files()
             bind = Bind(URL, keys=Keys(hub.secret, {peer.public: Permit("peer", frozenset(Role))}))
-        limits: dict[str, Any] = {"max_memory": 2**30}
+        limits: dict[str, Any] = {"max_memory": 2**30, "pace": self.pace}
         if self.small:
             number = len(self.sessions)
-            limits = {"max_body": 4096, "max_memory": 2**16 * number + 4 * 4096, "max_sessions": 4 * number}
+            limits |= {"max_body": 4096, "max_memory": 2**16 * number + 4 * 4096, "max_sessions": 4 * number}
         return HubConfig(bind=(bind,), heartbeat=self.heartbeat, timeout=self.timeout, **limits)
 
     def _key(self) -> dict[str, Any]:
@@ -260,15 +273,20 @@ class Run:
         began = self.world.now
         while True:
             try:
-                seen = play(glue, block, session.think)
+                if self.pace.rate:
+                    wrong = play_timed(glue, block, session.bulk, session.think)
+                else:
+                    seen = play(glue, block, session.think)
                 break
             except (PeerLost, PeerFailed) as error:
                 session.voids += 1
                 self.watch.void(session, error, began)
                 began = self.world.now
         session.blocks += 1
-        known = expected(block, session.bulk, session.many)
-        if seen != known:
+        if self.pace.rate:
+            if wrong:
+                self.problems.append(f"(b) session {session.name}: {block}: {wrong}")
+        elif seen != (known := expected(block, session.bulk, session.many, self.pace)):
             at = next((n for n, (a, b) in enumerate(zip(seen, known, strict=False)) if a != b), -1)
             self.problems.append(
                 f"(b) session {session.name}: {block} differs from a run in one process at {at}: "

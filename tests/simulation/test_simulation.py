@@ -17,6 +17,8 @@ SITUATIONS: Final = (
     "experiment: forgotten by the hub",
     "fault: again",
     *(f"hub: ERROR {code}" for code in ("malformed", "not-asked", "peer-lost", "unknown-peer")),
+    "hub: a late action",
+    "hub: an action in time",
     *(f"hub: NOTICE {event}" for event in ("joined", "lost", "returned", "slow")),
     *(f"hub: REFUSE {code}" for code in ("full", "malformed", "no-session", "role-taken", "version")),
     *(f"hub: WELCOME {resumed}" for resumed in (False, True)),

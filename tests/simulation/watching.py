@@ -14,6 +14,7 @@ from greenlet import getcurrent
 from glue.client import players
 from glue.client.answers import ServedPlayer
 from glue.client.sockets import SocketTransport
+from glue.engine.pacer import Pacer
 from glue.hub.io import channels, inside
 from glue.hub.io.log import Log, LogLevel
 from glue.hub.io.server import Hub
@@ -296,6 +297,7 @@ class Watch:
             (inside, "ServedPlayer", Counting),
             (channels._SocketChannel, "deliver", self._delivering(channels._SocketChannel.deliver)),
             (Sessions, "tick", self._ticking(Sessions.tick)),
+            (Pacer, "due", self._acting(Pacer.due)),
             (Sessions, "receive", self._receiving(Sessions.receive)),
             (Session, "__init__", self._opening(Session.__init__)),
             (Session, "join", self._joining(Session.join)),
@@ -306,6 +308,13 @@ class Watch:
         ]
         with replacing(replaced):
             yield
+
+    def _acting(self, original: Any) -> Any:
+        def due(pacer: Pacer) -> Any:
+            self.reached("hub: a late action" if pacer.asked else "hub: an action in time")
+            return original(pacer)
+
+        return due
 
     def _delivering(self, original: Any) -> Any:
         def deliver(channel: Any, message: Message) -> bool:
@@ -394,8 +403,8 @@ class Watch:
         return receive_message
 
     def _opening(self, original: Any) -> Any:
-        def init(session: Session, sessions: Any, name: str, time: Any = None) -> None:
-            original(session, sessions, name, time)
+        def init(session: Session, sessions: Any, name: str, *more: Any) -> None:
+            original(session, sessions, name, *more)
             current: Any = getcurrent()
             self._incarnations[current.process.number, name] += 1
             self._void.pop(name, None)

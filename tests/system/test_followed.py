@@ -53,6 +53,7 @@ def test_experiments(tmp_path: Path) -> None:
         ("first-competition", "board.html"),
         ("notebooks", "."),
         ("mario", "runs/levels/results.sqlite"),
+        ("masks", "hops.png"),
     ],
 )
 def test_tutorial(page: str, made: str, tmp_path: Path) -> None:

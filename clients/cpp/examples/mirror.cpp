@@ -18,10 +18,35 @@ using glue_rl::AbstractType;
 using glue_rl::AbstractView;
 using glue_rl::Action;
 using glue_rl::Observation;
+using glue_rl::ObservationView;
 
 template <class Ints>
 double sum(const Ints& ints) {
   return static_cast<double>(std::accumulate(ints.begin(), ints.end(), std::int64_t{0}));
+}
+
+void show(std::int64_t extra, AbstractType& to) { to.chars += std::to_string(extra); }
+void show(double extra, AbstractType& to) { to.doubles.push_back(extra); }
+void show(const std::string& extra, AbstractType& to) { to.chars += extra; }
+void show(const std::vector<std::uint8_t>& extra, AbstractType& to) { to.chars.append(extra.begin(), extra.end()); }
+void show(const std::vector<double>& extra, AbstractType& to) {
+  to.doubles.insert(to.doubles.end(), extra.begin(), extra.end());
+}
+void show(const std::vector<std::int64_t>& extra, AbstractType& to) {
+  for (std::size_t i = 0; i < extra.size(); ++i) to.chars += (i == 0 ? "" : " ") + std::to_string(extra[i]);
+}
+
+// An observation, with what is beside it behind its runs.
+AbstractType shown(const Observation& seen) {
+  AbstractType all = seen;
+  for (std::size_t i = 0; i < seen.mask.size(); ++i) {
+    if (seen.mask[i]) all.ints.push_back(static_cast<std::int32_t>(i));
+  }
+  for (const auto& [name, extra] : seen.extras) {
+    all.chars += "\n" + name + "=";
+    std::visit([&all](const auto& value) { show(value, all); }, extra);
+  }
+  return all;
 }
 
 class Mirror : public glue_rl::Seedable, public glue_rl::Saveable {
@@ -38,14 +63,14 @@ class Mirror : public glue_rl::Seedable, public glue_rl::Saveable {
     return std::string(text);
   }
 
-  AbstractType mirror(const AbstractView& shown, std::initializer_list<double> more) const {
-    AbstractType mirrored(shown);
+  AbstractType mirror(AbstractType mirrored, std::initializer_list<double> more) const {
     if (mirrored.ints.empty() && mirrored.doubles.empty() && mirrored.chars.empty()) return mirrored;
+    const double total = sum(mirrored.ints);
     std::reverse(mirrored.ints.begin(), mirrored.ints.end());
     std::reverse(mirrored.doubles.begin(), mirrored.doubles.end());
     std::reverse(mirrored.chars.begin(), mirrored.chars.end());
     mirrored.ints.push_back(count_);
-    mirrored.doubles.push_back(sum(shown.ints()));
+    mirrored.doubles.push_back(total);
     mirrored.doubles.insert(mirrored.doubles.end(), more);
     return mirrored;
   }
@@ -60,10 +85,10 @@ class MirrorAgent : public Mirror, public glue_rl::Agent, public glue_rl::Measur
  public:
   glue_rl::Metrics metrics() override { return {{"count", count_}, {"half the count", count_ / 2.0}}; }
   void init(std::string_view) override { count_ = 0; }
-  Action start(const AbstractView& observation) override { return step(0, observation); }
-  Action step(double reward, const AbstractView& observation) override {
+  Action start(const ObservationView& observation) override { return step(0, observation); }
+  Action step(double reward, const ObservationView& observation) override {
     count_ += 1;
-    return mirror(observation, {reward});
+    return mirror(shown(Observation(observation)), {reward});
   }
   void end(double) override { count_ += 1; }
   std::string message(std::string_view text) override { return answer(text); }
@@ -83,7 +108,19 @@ class MirrorEnvironment : public Mirror, public glue_rl::Environment {
     count_ += 1;
     const double reward = action.doubles().empty() ? 0 : action.doubles().front();
     const char last = action.chars().empty() ? '\0' : action.chars().back();
-    return {reward, last == '!', mirror(action, {}), last == '?'};
+    Observation observation = mirror(Action(action), {});
+    if (last == '&') {
+      for (const std::int32_t value : action.ints()) observation.mask.push_back(value != 0);
+      observation.extras = {
+          {"count", count_},
+          {"half", count_ + 0.5},
+          {"text", "größer"},
+          {"chars", std::vector<std::uint8_t>(action.chars().begin(), action.chars().end())},
+          {"ints", std::vector<std::int64_t>(action.ints().begin(), action.ints().end())},
+          {"doubles", action.doubles().to_vector()},
+      };
+    }
+    return {reward, last == '!', observation, last == '?'};
   }
   std::string message(std::string_view text) override { return answer(text); }
 };
@@ -105,8 +142,9 @@ T joined(T all, const T& some, std::initializer_list<typename T::value_type> mor
 
 Action both(const Observation& observation, const Action& action, std::initializer_list<std::int32_t> ints = {},
             std::initializer_list<double> doubles = {}) {
-  return result(joined(observation.ints, action.ints, ints), joined(observation.doubles, action.doubles, doubles),
-                observation.chars + action.chars);
+  const AbstractType seen = shown(observation);
+  return result(joined(seen.ints, action.ints, ints), joined(seen.doubles, action.doubles, doubles),
+                seen.chars + action.chars);
 }
 
 // The terminal as a number; 2 for a cut-off.
@@ -135,7 +173,8 @@ class MirrorExperiment {
 
  private:
   Action carry_out(const std::string& verb, const std::string& argument, const glue_rl::Environment::Step& order) {
-    const AbstractType given(order.observation.ints, order.observation.doubles, argument);
+    Observation given(order.observation.ints, order.observation.doubles, argument);
+    given.mask = order.observation.mask;
     if (verb == "RL_INIT") return words(argument.empty() ? glue_.init() : glue_.init(std::stoull(argument)));
     if (verb == "RL_START") {
       const auto start = glue_.start();

@@ -1,10 +1,12 @@
 // An agent that acts at random within the bounds of the task spec: Infinite Mario, or any task with ints as actions.
+// Where the environment says which actions are legal, it chooses among them.
 //
 // glue-experiment --env mario --episodes 10         and, beside it: build/random
 
 #include <cstdint>
 #include <glue_rl/glue_rl.hpp>
 #include <sstream>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -58,13 +60,21 @@ class RandomAgent : public glue_rl::Agent, public glue_rl::Seedable {
  public:
   void seed(std::uint64_t number) override { generator_ = Generator(number); }
   void init(std::string_view task_spec) override { bounds_ = bounds_of(task_spec); }
-  Action start(const ObservationView&) override { return act(); }
-  Action step(double, const ObservationView&) override { return act(); }
+  Action start(const ObservationView& observation) override { return act(observation); }
+  Action step(double, const ObservationView& observation) override { return act(observation); }
 
  private:
-  Action act() {
+  Action act(const ObservationView& observation) {
     Action action;
-    for (const auto& [low, high] : bounds_) action.ints.push_back(low + generator_.draw(high - low + 1));
+    std::size_t number = 0;  // of a value, among the values of all ints
+    for (const auto& [low, high] : bounds_) {
+      std::vector<int> legal;
+      for (int value = low; value <= high; ++value) {
+        if (observation.legal(number++)) legal.push_back(value);
+      }
+      if (legal.empty()) throw std::runtime_error("an int of the action has no legal value");
+      action.ints.push_back(legal[static_cast<std::size_t>(generator_.draw(static_cast<int>(legal.size())))]);
+    }
     return action;
   }
 

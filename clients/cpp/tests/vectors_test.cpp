@@ -16,9 +16,8 @@
 
 namespace {
 
-using glue_rl::AbstractType;
-using glue_rl::AbstractView;
-using glue_rl::detail::HeaderWriter;
+using glue_rl::Observation;
+using glue_rl::detail::Packer;
 using glue_rl::detail::Message;
 
 const std::set<std::string> kRoles = {"peer", "agent", "environment", "experiment"};
@@ -56,11 +55,17 @@ double real(const Json& hex) {
   return value;
 }
 
-AbstractType abstract_type(const Json& one) {
-  AbstractType result;
+Observation observation(const Json& one) {
+  Observation result;
   for (const Json& value : one["ints"].items) result.ints.push_back(static_cast<std::int32_t>(value.number()));
   for (const Json& value : one["doubles"].items) result.doubles.push_back(real(value));
   result.chars = bytes(one["chars"].text);
+  if (one.has("mask")) {
+    for (const char byte : bytes(one["mask"].text)) {
+      for (int i = 0; i < 8; ++i) result.mask.push_back((byte >> i & 1) != 0);
+    }
+  }
+  if (one.has("extras")) result.extras = glue_rl::detail::unpack(bytes(one["extras"].text));
   return result;
 }
 
@@ -69,15 +74,14 @@ std::string body_of(const Json& body) {
   if (body.has("bytes")) return bytes(body["bytes"].text);
   std::string result;
   for (const Json& one : body["abstract"].items) {
-    const AbstractType value = abstract_type(one);
-    std::string written(value.body_size(), '\0');
-    value.write(written.data());
+    std::string written;
+    observation(one).write(written);
     result += written;
   }
   return result;
 }
 
-void write(HeaderWriter& header, const Json& scalar) {
+void write(Packer& header, const Json& scalar) {
   const auto& [type, value] = *scalar.members.begin();
   if (type == "int") header.integer(std::stoull(value.text));
   if (type == "float") header.real(real(value));
@@ -143,11 +147,10 @@ void refuses(Action action) {
   expect(false, "acceptance");
 }
 
-bool same(const AbstractView& view, const Json& one) {
-  const AbstractType read(view), expected = abstract_type(one);
-  std::string read_body(read.body_size(), '\0'), expected_body(expected.body_size(), '\0');
-  read.write(read_body.data());
-  expected.write(expected_body.data());
+bool same(const Observation& read, const Json& one) {
+  std::string read_body, expected_body;
+  read.write(read_body);
+  observation(one).write(expected_body);
   return read_body == expected_body;
 }
 
@@ -165,6 +168,11 @@ void check_decoded(const Json& entry, bool cut_off) {
     if (type == "float") expect(bits_of(message.floats[floats++]) == bits_of(value), "float");
     if (type == "bool") expect(message.truth == (value.type == 't') && !message.cut_off, "bool");
     if (type == "text") expect(message.texts[texts++] == value.text, "text");
+    if (type != "array") continue;
+    expect(message.capabilities.size() == value.items.size(), "number of capabilities");
+    for (std::size_t i = 0; i < value.items.size(); ++i) {
+      expect(message.capabilities[i] == value.items[i]["text"].text, "capability");
+    }
   }
   if (entry["body"].type != '{') return;
   if (!entry["body"].has("abstract")) {
@@ -172,19 +180,95 @@ void check_decoded(const Json& entry, bool cut_off) {
     return;
   }
   const auto& values = entry["body"]["abstract"].items;
-  expect(same(message.first, values[0]), "observation or action");
-  if (values.size() == 2) expect(same(message.second, values[1]), "action");
+  expect(same(Observation(message.first), values[0]), "observation or action");
+  if (values.size() == 2) expect(same(Observation(message.second), values[1]), "action");
+}
+
+/// Returns a body as this library writes it, with the extras in the order of their names.
+std::string rewritten(const Json& body, const std::string& received) {
+  if (!body.has("abstract")) return received;
+  std::string_view rest = received;
+  std::string written;
+  Observation(glue_rl::ObservationView::take(rest, true)).write(written);
+  return written + std::string(rest);
 }
 
 void check_encoded(const Json& entry) {
-  HeaderWriter header;
+  Packer header;
   const auto& scalars = entry["scalars"].items;
   header.begin(scalars.size(), static_cast<std::uint64_t>(entry["code"].number()), entry["session"].text,
                std::stoull(entry["seq"].text));
   for (const Json& scalar : scalars) write(header, scalar);
   const auto frames = frames_of(entry);
   expect(header.bytes() == frames[0], "header");
-  if (frames.size() > 1) expect(body_of(entry["body"]) == frames[1], "body");
+  if (frames.size() > 1) expect(body_of(entry["body"]) == rewritten(entry["body"], frames[1]), "body");
+}
+
+glue_rl::Extra extra(const Json& scalar) {
+  const auto& [type, value] = *scalar.members.begin();
+  if (type == "int") return std::int64_t{std::stoll(value.text)};
+  if (type == "float") return real(value);
+  if (type == "text") return value.text;
+  if (type == "binary") {
+    const std::string read = bytes(value.text);
+    return std::vector<std::uint8_t>(read.begin(), read.end());
+  }
+  if (!value.items.empty() && value[0].has("float")) {
+    std::vector<double> numbers;
+    for (const Json& item : value.items) numbers.push_back(real(item["float"]));
+    return numbers;
+  }
+  std::vector<std::int64_t> numbers;
+  for (const Json& item : value.items) numbers.push_back(std::stoll(item["int"].text));
+  return numbers;
+}
+
+void check_extras(const Json& extras) {
+  for (const Json& entry : extras["accepted"].items) {
+    current = entry["name"].text;
+    glue_rl::Extras values;
+    for (const auto& [name, value] : entry["values"].members) values.emplace(name, extra(value));
+    expect(glue_rl::detail::unpack(bytes(entry["hex"].text)) == values, "extras");
+    if (!values.empty()) expect(glue_rl::detail::unpack(glue_rl::detail::pack(values)) == values, "packed extras");
+  }
+  for (const Json& entry : extras["refused"].items) {
+    current = entry["name"].text;
+    refuses([&] { glue_rl::detail::unpack(bytes(entry["hex"].text)); });
+  }
+}
+
+void check_what_is_not_sent() {
+  current = "what nobody would read";
+  std::vector<Observation> all(7);
+  all[0].extras = {{"", 1}};
+  all[1].extras = {{"a\nb", 1}};
+  all[2].extras = {{std::string(65, 'a'), 1}};
+  all[3].extras = {{"large", std::vector<std::uint8_t>(65535)}};
+  all[4].extras = {{"huge", std::vector<double>(70000)}};
+  for (int i = 0; i < 65; ++i) all[5].extras[std::to_string(i)] = i;
+  all[6].mask.resize(8 * 65535 + 1);
+  for (const Observation& observation : all) {
+    std::string body;
+    try {
+      observation.write(body);
+    } catch (const std::invalid_argument&) {
+      checked += 1;
+      continue;
+    }
+    expect(false, "acceptance");
+  }
+}
+
+void check_legal() {
+  current = "an observation with a mask";
+  Observation observation{{7}};
+  observation.mask = {false, true, true};
+  std::string body;
+  observation.write(body);
+  std::string_view rest = body;
+  const auto view = glue_rl::ObservationView::take(rest, false);
+  expect(!view.legal(0) && view.legal(1) && view.legal(2) && !view.legal(3) && !view.legal(8), "mask");
+  expect(glue_rl::ObservationView().legal(9), "lack of a mask");
 }
 
 void check_refused(const Json& entry) {
@@ -212,7 +296,7 @@ int main(int argc, char** argv) {
   std::ostringstream text;
   text << std::ifstream(argv[1]).rdbuf();
   const Json vectors = Json::parse(text.str());
-  for (const std::string section : {"messages", "accepted", "truncate"}) {
+  for (const std::string section : {"messages", "accepted", "truncate", "beside"}) {
     for (const Json& entry : vectors[section].items) {
       current = entry["kind"].text + ", " + entry["name"].text;
       const std::string &from = entry["from"].text, &to = entry["to"].text;
@@ -229,6 +313,9 @@ int main(int argc, char** argv) {
     current = entry["name"].text;
     check_refused(entry);
   }
+  check_extras(vectors["extras"]);
+  check_what_is_not_sent();
+  check_legal();
   check_zmtp(vectors["zmtp"]);
   std::cout << checked << " checks passed" << std::endl;
 }

@@ -10,12 +10,15 @@ import gluerl.Observation;
 import gluerl.Options;
 import gluerl.Saveable;
 import gluerl.Seedable;
+import java.io.ByteArrayOutputStream;
 import java.nio.charset.StandardCharsets;
 import java.util.ArrayList;
 import java.util.Arrays;
 import java.util.LinkedHashMap;
 import java.util.List;
 import java.util.Map;
+import java.util.TreeMap;
+import java.util.stream.Collectors;
 import java.util.stream.DoubleStream;
 import java.util.stream.IntStream;
 import java.util.stream.Stream;
@@ -66,6 +69,33 @@ abstract class Mirror implements Seedable, Saveable {
                 .toArray();
     }
 
+    /** An observation as an action that has what is beside the observation behind its runs. */
+    static Action shown(Observation seen) {
+        boolean[] mask = seen.mask();
+        IntStream legal = IntStream.range(0, mask.length).filter(i -> mask[i]);
+        List<Double> doubles = new ArrayList<>();
+        ByteArrayOutputStream chars = new ByteArrayOutputStream();
+        chars.writeBytes(seen.chars());
+        new TreeMap<>(seen.extras()).forEach((name, extra) -> {
+            chars.writeBytes(utf8("\n" + name + "="));
+            if (extra instanceof Double number) {
+                doubles.add(number);
+            } else if (extra instanceof double[] numbers) {
+                Arrays.stream(numbers).forEach(doubles::add);
+            } else if (extra instanceof byte[] bytes) {
+                chars.writeBytes(bytes);
+            } else if (extra instanceof long[] numbers) {
+                chars.writeBytes(utf8(Arrays.stream(numbers).mapToObj(Long::toString).collect(Collectors.joining(" "))));
+            } else {
+                chars.writeBytes(utf8(extra.toString()));
+            }
+        });
+        return new Action(
+                IntStream.concat(Arrays.stream(seen.ints()), legal).toArray(),
+                DoubleStream.concat(Arrays.stream(seen.doubles()), doubles.stream().mapToDouble(one -> one)).toArray(),
+                chars.toByteArray());
+    }
+
     static double[] mirrored(double[] doubles, double... more) {
         IntStream places = IntStream.range(0, doubles.length);
         DoubleStream reversed = places.mapToDouble(i -> doubles[doubles.length - 1 - i]);
@@ -110,10 +140,11 @@ abstract class Mirror implements Seedable, Saveable {
         @Override
         public Action step(double reward, Observation observation) {
             count++;
-            return isEmpty(observation) ? new Action() : new Action(
-                    mirrored(observation.ints(), count),
-                    mirrored(observation.doubles(), sum(observation.ints()), reward),
-                    mirrored(observation.chars()));
+            Action shown = shown(observation);
+            return isEmpty(shown) ? shown : new Action(
+                    mirrored(shown.ints(), count),
+                    mirrored(shown.doubles(), sum(shown.ints()), reward),
+                    mirrored(shown.chars()));
         }
 
         @Override
@@ -139,14 +170,29 @@ abstract class Mirror implements Seedable, Saveable {
             count++;
             byte[] chars = action.chars();
             int last = chars.length > 0 ? chars[chars.length - 1] : 0;
+            Observation observation = isEmpty(action) ? new Observation() : new Observation(
+                    mirrored(action.ints(), count),
+                    mirrored(action.doubles(), sum(action.ints())),
+                    mirrored(chars));
             return new Step(
                     action.doubles().length > 0 ? action.doubles()[0] : 0,
                     last == '!',
-                    isEmpty(action) ? new Observation() : new Observation(
-                            mirrored(action.ints(), count),
-                            mirrored(action.doubles(), sum(action.ints())),
-                            mirrored(chars)),
+                    last == '&' ? beside(observation, action) : observation,
                     last == '?');
+        }
+
+        private Observation beside(Observation observation, Action action) {
+            boolean[] mask = new boolean[action.ints().length];
+            for (int i = 0; i < mask.length; i++) {
+                mask[i] = action.ints()[i] != 0;
+            }
+            return observation.withMask(mask).withExtras(Map.of(
+                    "count", count,
+                    "half", count + 0.5,
+                    "text", "größer",
+                    "chars", action.chars(),
+                    "ints", Arrays.stream(action.ints()).asLongStream().toArray(),
+                    "doubles", action.doubles()));
         }
     }
 
@@ -180,7 +226,7 @@ abstract class Mirror implements Seedable, Saveable {
             String text = new String(argument, StandardCharsets.UTF_8);
             int[] ints = order.observation().ints();
             double[] doubles = order.observation().doubles();
-            Observation observation = new Observation(ints, doubles, argument);
+            Observation observation = new Observation(ints, doubles, argument).withMask(order.observation().mask());
             switch (verb) {
                 case "RL_INIT":
                     return words(text.isEmpty() ? glue.init() : glue.init(Long.parseLong(text)));
@@ -254,12 +300,13 @@ abstract class Mirror implements Seedable, Saveable {
         }
 
         private static Action both(Observation observation, Action action, int[] ints, double... doubles) {
-            byte[] chars = Arrays.copyOf(observation.chars(), observation.chars().length + action.chars().length);
-            System.arraycopy(action.chars(), 0, chars, observation.chars().length, action.chars().length);
+            Action seen = shown(observation);
+            byte[] chars = Arrays.copyOf(seen.chars(), seen.chars().length + action.chars().length);
+            System.arraycopy(action.chars(), 0, chars, seen.chars().length, action.chars().length);
             return result(
-                    Stream.of(observation.ints(), action.ints(), ints).flatMapToInt(Arrays::stream).toArray(),
+                    Stream.of(seen.ints(), action.ints(), ints).flatMapToInt(Arrays::stream).toArray(),
                     chars,
-                    Stream.of(observation.doubles(), action.doubles(), doubles).flatMapToDouble(Arrays::stream).toArray());
+                    Stream.of(seen.doubles(), action.doubles(), doubles).flatMapToDouble(Arrays::stream).toArray());
         }
     }
 

@@ -8,9 +8,11 @@ import java.util.ArrayList;
 import java.util.List;
 import java.util.regex.Matcher;
 import java.util.regex.Pattern;
+import java.util.stream.IntStream;
 
 /**
- * Acts at random within the bounds of the task spec: Infinite Mario, or any task with ints as actions.
+ * Acts at random within the bounds of the task spec: Infinite Mario, or any task with ints as actions. Where the
+ * environment says which actions are legal, it chooses among them.
  *
  * <p>glue-experiment --env mario --episodes 10, and beside it: java -cp build/glue-rl.jar examples/RandomAgent.java
  */
@@ -51,19 +53,28 @@ final class RandomAgent implements Agent, Seedable {
 
     @Override
     public Action start(Observation observation) {
-        return act();
+        return act(observation);
     }
 
     @Override
     public Action step(double reward, Observation observation) {
-        return act();
+        return act(observation);
     }
 
-    private Action act() {
+    private Action act(Observation observation) {
         int[] ints = new int[bounds.size()];
+        int first = 0; // the number of an int's minimum among the values of all ints
         for (int i = 0; i < ints.length; i++) {
             Bounds each = bounds.get(i);
-            ints[i] = each.low + generator.draw(each.high - each.low + 1);
+            int start = first - each.low;
+            int[] legal = IntStream.rangeClosed(each.low, each.high)
+                    .filter(value -> observation.legal(start + value))
+                    .toArray();
+            if (legal.length == 0) {
+                throw new IllegalStateException("int %d of the action has no legal value".formatted(i));
+            }
+            ints[i] = legal[generator.draw(legal.length)];
+            first += each.high - each.low + 1;
         }
         return new Action(ints);
     }

@@ -4,10 +4,12 @@ import java.nio.file.Files;
 import java.nio.file.Path;
 import java.util.ArrayList;
 import java.util.Arrays;
+import java.util.HashMap;
 import java.util.HexFormat;
 import java.util.List;
 import java.util.Map;
 import java.util.Set;
+import java.util.function.Supplier;
 
 /** The codec against glue/testing/vectors.json, which docs/clients.md describes. */
 final class VectorsTest {
@@ -53,10 +55,77 @@ final class VectorsTest {
     }
 
     private static Observation abstractType(Object one) {
-        return new Observation(
+        Observation runs = new Observation(
                 list(map(one).get("ints")).stream().mapToInt(i -> ((Long) i).intValue()).toArray(),
                 list(map(one).get("doubles")).stream().mapToDouble(VectorsTest::real).toArray(),
                 HEX.parseHex((String) map(one).get("chars")));
+        byte[] mask = HEX.parseHex((String) map(one).getOrDefault("mask", ""));
+        boolean[] legal = new boolean[8 * mask.length];
+        for (int i = 0; i < legal.length; i++) {
+            legal[i] = (mask[i / 8] >> i % 8 & 1) == 1;
+        }
+        byte[] extras = HEX.parseHex((String) map(one).getOrDefault("extras", ""));
+        return runs.withMask(legal).withExtras(extras.length == 0 ? Map.of() : Extras.unpack(extras));
+    }
+
+    private static Object extra(Object item) {
+        Object value = map(item).get("array");
+        if (value == null) {
+            return scalar(item);
+        }
+        Object[] items = list(value).stream().map(VectorsTest::scalar).toArray();
+        return items.length > 0 && items[0] instanceof Double
+                ? Arrays.stream(items).mapToDouble(one -> (Double) one).toArray()
+                : Arrays.stream(items).mapToLong(one -> (Long) one).toArray();
+    }
+
+    private static void extras(Map<String, Object> entry) {
+        byte[] packed = HEX.parseHex((String) entry.get("hex"));
+        Map<String, Object> values = map(entry.get("values"));
+        Map<String, Object> read = Extras.unpack(packed);
+        expect(read.keySet().equals(values.keySet()), entry);
+        values.forEach((name, value) -> expect(Arrays.deepEquals(new Object[] {read.get(name)}, new Object[] {extra(value)}), name));
+        if (!values.isEmpty()) {
+            byte[] ours = Extras.pack(read);
+            expect(Arrays.equals(Extras.pack(Extras.unpack(ours)), ours), entry);
+        }
+    }
+
+    private static void doesNotSend(String why, Supplier<Observation> made) {
+        try {
+            made.get();
+        } catch (IllegalArgumentException error) {
+            checked++;
+            return;
+        }
+        throw new AssertionError("accepted: " + why);
+    }
+
+    /** What nobody would read, and what is cut off for a hub that does not know it. */
+    private static void beside() {
+        Observation runs = new Observation(7);
+        Map<String, Object> many = new HashMap<>();
+        for (int i = 0; i < 65; i++) {
+            many.put("n" + i, i);
+        }
+        doesNotSend("an empty name", () -> runs.withExtras(Map.of("", 1)));
+        doesNotSend("a line feed", () -> runs.withExtras(Map.of("a\nb", 1)));
+        doesNotSend("a long name", () -> runs.withExtras(Map.of("a".repeat(65), 1)));
+        doesNotSend("65 extras", () -> runs.withExtras(many));
+        doesNotSend("large extras", () -> runs.withExtras(Map.of("large", new byte[65535])));
+        doesNotSend("huge extras", () -> runs.withExtras(Map.of("huge", new double[70000])));
+        doesNotSend("a list", () -> runs.withExtras(Map.of("list", List.of(1))));
+        doesNotSend("a large mask", () -> runs.withMask(new boolean[8 * 65535 + 1]));
+
+        Observation mask = runs.withMask(false, true, true);
+        Observation extras = runs.withExtras(Map.of("coins", 3));
+        byte[] all = mask.withExtras(Map.of("coins", 3)).body();
+        expect(Observation.cut(all, true, true) == all, "all");
+        expect(Arrays.equals(Observation.cut(all, true, false), mask.body()), "mask");
+        expect(Arrays.equals(Observation.cut(all, false, true), extras.body()), "extras");
+        expect(Arrays.equals(Observation.cut(all, false, false), runs.body()), "neither");
+        expect(mask.legal(1) && !mask.legal(0) && !mask.legal(3) && !mask.legal(8) && runs.legal(9), "legal");
+        expect(extras.extras().equals(Map.of("coins", 3L)), "coins");
     }
 
     private static byte[] body(Object body) {
@@ -88,7 +157,7 @@ final class VectorsTest {
         for (int i = 0; i < scalars.length; i++) {
             Object expected = message.scalars()[i] instanceof Boolean && scalars[i] instanceof Long number
                     ? (Object) (number != 0) : scalars[i];
-            expect(message.scalars()[i].equals(expected), entry);
+            expect(Arrays.deepEquals(new Object[] {message.scalars()[i]}, new Object[] {expected}), entry);
         }
         Object body = entry.get("body");
         if (body != null && map(body).containsKey("abstract")) {
@@ -139,7 +208,7 @@ final class VectorsTest {
 
     public static void main(String[] args) throws Exception {
         Map<String, Object> vectors = map(Json.parse(Files.readString(Path.of(args[0]))));
-        for (String section : new String[] {"messages", "accepted", "truncate"}) {
+        for (String section : new String[] {"messages", "accepted", "truncate", "beside"}) {
             for (Object one : list(vectors.get(section))) {
                 Map<String, Object> entry = map(one);
                 if (!ROLES.contains(entry.get("from")) && !ROLES.contains(entry.get("to"))) {
@@ -158,6 +227,12 @@ final class VectorsTest {
             String wire = (String) map(one).get("wire");
             refuses(one.toString(), () -> Message.decode(((FrameReader.Frames) read(wire).get(0)).frames()));
         }
+        Map<String, Object> extras = map(vectors.get("extras"));
+        list(extras.get("accepted")).forEach(one -> extras(map(one)));
+        for (Object one : list(extras.get("refused"))) {
+            refuses(one.toString(), () -> Extras.unpack(HEX.parseHex((String) map(one).get("hex"))));
+        }
+        beside();
         Map<String, Object> zmtp = map(vectors.get("zmtp"));
         expect(HEX.formatHex(FrameReader.greeting()).equals(zmtp.get("greeting")), "greeting");
         expect(HEX.formatHex(FrameReader.ready()).equals(zmtp.get("ready")), "ready");

@@ -6,8 +6,25 @@ import { connect, GlueError, HubClosed, serveAgent, serveEnvironment } from "glu
 
 /** @typedef {import("glue-rl").AbstractTypeLike} AbstractTypeLike */
 /** @typedef {import("glue-rl").AbstractType} AbstractType */
+/** @typedef {import("glue-rl").Observation} Observation */
 
 const EMPTY = { ints: new Int32Array(), doubles: new Float64Array(), chars: new Uint8Array() };
+
+/** An observation, with what is beside it behind its runs. @param {Observation} seen @returns {AbstractType} */
+function shown({ ints, doubles, chars, mask = new Uint8Array(), extras = {} }) {
+  const legal = [...mask.keys()].filter((i) => mask[i] === 1);
+  const moreDoubles = [...doubles];
+  const moreChars = [chars];
+  for (const [name, extra] of Object.entries(extras).sort(([one], [other]) => (one < other ? -1 : 1))) {
+    const numbers = typeof extra === "string" || extra instanceof Uint8Array ? [] : [extra].flat();
+    const whole = numbers.every((number) => typeof number === "bigint" || Number.isInteger(number));
+    if (!whole) moreDoubles.push(...numbers.map(Number));
+    moreChars.push(Buffer.from(`\n${name}=${whole ? numbers.join(" ") : ""}`));
+    if (typeof extra === "string") moreChars.push(Buffer.from(extra));
+    if (extra instanceof Uint8Array) moreChars.push(extra);
+  }
+  return { ints: Int32Array.of(...ints, ...legal), doubles: Float64Array.from(moreDoubles), chars: Buffer.concat(moreChars) };
+}
 
 /** @param {ArrayLike<number>} ints */
 const sum = (ints) => Array.from(ints).reduce((a, b) => a + b, 0);
@@ -54,15 +71,15 @@ class MirrorAgent extends Mirror {
     this.count = 0;
   }
 
-  /** @param {AbstractType} observation */
+  /** @param {Observation} observation */
   start(observation) {
     return this.step(0, observation);
   }
 
-  /** @param {number} reward @param {AbstractType} observation */
+  /** @param {number} reward @param {Observation} observation */
   step(reward, observation) {
     this.count += 1;
-    return this.mirror(observation, reward);
+    return this.mirror(shown(observation), reward);
   }
 
   end() {
@@ -88,12 +105,16 @@ class MirrorEnvironment extends Mirror {
   /** @param {AbstractType} action */
   step(action) {
     this.count += 1;
-    const { doubles, chars } = action;
+    const { ints, doubles, chars } = action;
+    const beside = chars.at(-1) === "&".charCodeAt(0) && {
+      mask: ints.map((value) => Number(value !== 0)),
+      extras: { count: this.count, half: this.count + 0.5, text: "größer", chars, ints, doubles },
+    };
     return {
       reward: doubles[0] ?? 0,
       terminal: chars.at(-1) === "!".charCodeAt(0),
       truncated: chars.at(-1) === "?".charCodeAt(0),
-      observation: this.mirror(action),
+      observation: { ...this.mirror(action), ...beside },
     };
   }
 }
@@ -103,12 +124,13 @@ function result(ints = [], doubles = [], chars = new Uint8Array()) {
   return { ints: [...ints], doubles: [...doubles, sum([...ints])], chars };
 }
 
-/** @param {AbstractType} observation @param {AbstractType} action @param {number[]} ints @param {number[]} doubles */
+/** @param {Observation} observation @param {AbstractType} action @param {number[]} ints @param {number[]} doubles */
 function both(observation, action, ints = [], doubles = []) {
+  const seen = shown(observation);
   return result(
-    [...observation.ints, ...action.ints, ...ints],
-    [...observation.doubles, ...action.doubles, ...doubles],
-    Buffer.concat([observation.chars, action.chars]),
+    [...seen.ints, ...action.ints, ...ints],
+    [...seen.doubles, ...action.doubles, ...doubles],
+    Buffer.concat([seen.chars, action.chars]),
   );
 }
 
@@ -119,11 +141,11 @@ const words = (text) => result([], [], Buffer.from(text));
  * What a verb returns.
  *
  * @param {import("glue-rl").Experiment} glue @param {string} verb @param {Buffer} argument @param {number} reward
- * @param {AbstractType} order @param {string[]} notices
+ * @param {Observation} order @param {string[]} notices
  */
-async function carryOut(glue, verb, argument, reward, { ints, doubles }, notices) {
+async function carryOut(glue, verb, argument, reward, { ints, doubles, mask }, notices) {
   const text = argument.toString();
-  const given = { ints, doubles, chars: argument };
+  const given = { ints, doubles, chars: argument, mask };
   switch (verb) {
     case "RL_INIT": return words(await glue.init(text === "" ? undefined : BigInt(text)));
     case "RL_START": {

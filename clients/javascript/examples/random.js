@@ -1,8 +1,11 @@
 // An agent that acts at random within the bounds of the task spec: Infinite Mario, or any task with ints as actions.
+// Where the environment says which actions are legal, it chooses among them.
 //
 // glue-experiment --env mario --episodes 10         and, beside it: node random.js
 
-import { serveAgent } from "glue-rl";
+import { legal, serveAgent } from "glue-rl";
+
+/** @typedef {import("glue-rl").Observation} Observation */
 
 /** Numerical Recipes' linear congruential generator: 32 bits of state, of which the upper 16 are drawn. */
 class Generator {
@@ -42,16 +45,25 @@ class RandomAgent {
     this.#bounds = boundsOf(taskSpec);
   }
 
-  start() {
-    return this.#act();
+  /** @param {Observation} observation */
+  start(observation) {
+    return this.#act(observation);
   }
 
-  step() {
-    return this.#act();
+  /** @param {number} reward @param {Observation} observation */
+  step(reward, observation) {
+    return this.#act(observation);
   }
 
-  #act() {
-    return { ints: this.#bounds.map(({ low, high }) => low + this.#generator.draw(high - low + 1)) };
+  /** @param {Observation} observation */
+  #act(observation) {
+    let number = 0; // of a value, among the values of all ints
+    const ints = this.#bounds.map(({ low, high }) => {
+      const values = Array.from({ length: high - low + 1 }, (_, i) => low + i).filter(() => legal(observation, number++));
+      if (values.length === 0) throw new Error("an int of the action has no legal value");
+      return values[this.#generator.draw(values.length)];
+    });
+    return { ints };
   }
 }
 

@@ -35,7 +35,7 @@ export class Experiment {
       join = resolve;
       refuse = reject;
     });
-    this.#link = new Link("experiment", options.name ?? "experiment", [], options, {
+    this.#link = new Link("experiment", options.name ?? "experiment", ["mask", "extras"], options, {
       welcomed: (resumed) => {
         this.#welcomed(resumed);
         join();
@@ -95,16 +95,16 @@ export class Experiment {
     return (await this.#ask(RL.ENV_START)).value;
   }
 
-  async envStep(/** @type {import("./index.js").AbstractTypeLike} */ action) {
+  async envStep(/** @type {import("./index.js").ActionLike} */ action) {
     const { scalars: [reward, terminal], value: observation } = await this.#ask(RL.ENV_STEP, [], action);
     return { reward, terminal: terminal !== false, observation, truncated: terminal === CUT_OFF };
   }
 
-  async agentStart(/** @type {import("./index.js").AbstractTypeLike} */ observation) {
+  async agentStart(/** @type {import("./index.js").ObservationLike} */ observation) {
     return (await this.#ask(RL.AGENT_START, [], observation)).value;
   }
 
-  async agentStep(/** @type {number} */ reward, /** @type {import("./index.js").AbstractTypeLike} */ observation) {
+  async agentStep(/** @type {number} */ reward, /** @type {import("./index.js").ObservationLike} */ observation) {
     return (await this.#ask(RL.AGENT_STEP, [reward], observation)).value;
   }
 
@@ -148,7 +148,7 @@ export class Experiment {
     const forgotten = this.#forgotten;
     this.#forgotten = null;
     if (forgotten !== null && kind !== RL.INIT) throw forgotten;
-    const frames = encode(kind, this.#link.session, this.#seq + 1, scalars, value);
+    const frames = encode(kind, this.#link.session, this.#seq + 1, scalars, value, this.#link.takes);
     if (frames.length === 2 && frames[1].length > this.#link.maxBody) {
       throw new RangeError(`a body has ${frames[1].length} bytes; the hub takes ${this.#link.maxBody}`);
     }

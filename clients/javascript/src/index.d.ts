@@ -9,7 +9,7 @@ export interface AbstractType {
   readonly chars: Uint8Array;
 }
 
-/** What can be sent as an observation or an action; a run that is left out is empty. */
+/** What can be sent as an action; a run that is left out is empty. */
 export interface AbstractTypeLike {
   /** Integers from -2^31 to 2^31 - 1; any other is a RangeError. */
   readonly ints?: ArrayLike<number>;
@@ -17,8 +17,39 @@ export interface AbstractTypeLike {
   readonly chars?: Uint8Array;
 }
 
-export type Observation = AbstractType;
 export type Action = AbstractType;
+export type ActionLike = AbstractTypeLike;
+
+/** An observation, and what is beside it. */
+export interface Observation extends AbstractType {
+  /**
+   * Which values of the next action are legal (1) and which are not (0), as `legal` numbers them, filled up with 0 to a
+   * multiple of 8; undefined if all are.
+   */
+  readonly mask?: Uint8Array;
+  /** Named values for everyone but the agent, whose observations have none; an int beyond 2^53 is a bigint. */
+  readonly extras?: Readonly<Record<string, Extra>>;
+}
+
+/** What can be sent as an observation. */
+export interface ObservationLike extends AbstractTypeLike {
+  /** Which values of the next action are legal. An environment with masks has the word `masks` in its task spec's EXTRA. */
+  readonly mask?: ArrayLike<boolean | number>;
+  /** At most 64, with names of 1 to 64 printable characters, and 65,535 bytes in all. */
+  readonly extras?: Readonly<Record<string, ExtraLike>>;
+}
+
+/** A number, a text, bytes, or an array of numbers, in which bigints and other whole numbers are ints. */
+export type Extra = number | bigint | string | Uint8Array | (number | bigint)[];
+
+/** What can be sent as an extra; Float64Array and Float32Array are floats even if all are whole. */
+export type ExtraLike = Extra | ArrayLike<number> | ArrayLike<bigint>;
+
+/**
+ * Whether a value of the next action is legal: all are, unless there is a mask. The values of its ints are numbered from 0,
+ * one int after another, each from its minimum: after an int from 0 to 2, 3 is the minimum of the next.
+ */
+export function legal(observation: Observation, value: number): boolean;
 
 /** What the methods of players may return: a value, or a promise of one. */
 export type Awaitable<T> = T | Promise<T>;
@@ -31,9 +62,9 @@ export interface Agent {
   /** Prepare for a task: forget what was learned before. */
   init(taskSpec: string): Awaitable<void>;
   /** The first observation of an episode; returns the first action. */
-  start(observation: Observation): Awaitable<AbstractTypeLike>;
+  start(observation: Observation): Awaitable<ActionLike>;
   /** The reward of the last action and the observation after it; returns the next action. */
-  step(reward: number, observation: Observation): Awaitable<AbstractTypeLike>;
+  step(reward: number, observation: Observation): Awaitable<ActionLike>;
   /** The last reward of an episode that has reached its end. */
   end?(reward: number): Awaitable<void>;
   cleanup?(): Awaitable<void>;
@@ -50,7 +81,7 @@ export interface Agent {
 }
 
 /** The outcome of an action. */
-export interface Step<T = AbstractTypeLike> {
+export interface Step<T = ObservationLike> {
   reward: number;
   /** Whether the episode is over. */
   terminal: boolean;
@@ -64,7 +95,7 @@ export interface Environment {
   /** Prepare; returns the task spec. */
   init(): Awaitable<string>;
   /** Begin an episode; returns its first observation. */
-  start(): Awaitable<AbstractTypeLike>;
+  start(): Awaitable<ObservationLike>;
   step(action: Action): Awaitable<Step>;
   cleanup?(): Awaitable<void>;
   message?(text: string): Awaitable<string>;
@@ -126,9 +157,9 @@ export interface Experiment {
   cleanup(): Promise<void>;
 
   envStart(): Promise<Observation>;
-  envStep(action: AbstractTypeLike): Promise<Step<Observation>>;
-  agentStart(observation: AbstractTypeLike): Promise<Action>;
-  agentStep(reward: number, observation: AbstractTypeLike): Promise<Action>;
+  envStep(action: ActionLike): Promise<Step<Observation>>;
+  agentStart(observation: ObservationLike): Promise<Action>;
+  agentStep(reward: number, observation: ObservationLike): Promise<Action>;
   agentEnd(reward: number): Promise<void>;
 
   agentSave(): Promise<Uint8Array>;

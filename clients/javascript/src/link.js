@@ -28,6 +28,8 @@ export class Link {
   welcomed = false;
   /** The largest body that the hub accepts. */
   maxBody = MAX_BODY;
+  /** What the hub takes beside an observation. */
+  takes = { mask: false, extras: false };
   session;
   #hub;
   #role;
@@ -155,11 +157,12 @@ export class Link {
   }
 
   /** @param {number | bigint} seq @param {any[]} scalars */
-  #welcome(seq, [version, resumed, heartbeat, timeout, maxBody]) {
+  #welcome(seq, [version, resumed, heartbeat, timeout, maxBody, capabilities = []]) {
     // A WELCOME to an earlier HELLO may be another hub's; a second one to the same HELLO says nothing new.
     if (seq !== this.greeted || this.welcomed) return;
     if (version !== 1) throw new ProtocolError(`version ${version} was chosen, and only 1 was offered`);
     this.maxBody = Math.min(Number(maxBody), MAX_BODY);
+    this.takes = { mask: capabilities.includes("mask"), extras: capabilities.includes("extras") };
     this.#heartbeatMs = 1000 * Math.min(Math.max(heartbeat, 0.01), 60);
     this.#timeoutMs = Math.max(1000 * timeout, this.#heartbeatMs);
     clearInterval(this.#timer);

@@ -1,9 +1,9 @@
 // Every kind of message that an agent, an environment or an experiment sends or receives: docs/protocol-reference.md, "Every
 // kind of message".
 
-import { readAbstract, readBoth, writeAbstract } from "./body.js";
+import { readAction, readBoth, readObservation, writeAction, writeObservation } from "./body.js";
 import { ProtocolError } from "./errors.js";
-import { HeaderReader, HeaderWriter } from "./header.js";
+import { Packer, Unpacker } from "./msgpack.js";
 
 export const AGENT = { INIT: 4, START: 5, STEP: 6, END: 7, CLEANUP: 8, MESSAGE: 10, SEED: 80, SAVE: 81, LOAD: 82, METRICS: 86 };
 
@@ -23,17 +23,18 @@ export const CUT_OFF = 2;
 
 /** The largest text, bytes, observation or action. */
 export const MAX_BODY = 16777216;
+const MAX_HEADER = 4096;
 const MAX_SESSION = 255;
 
 /**
- * A message. Its `value` is what its body stands for: a text, bytes, an abstract type, or two of them; undefined if
+ * A message. Its `value` is what its body stands for: a text, bytes, an action or observation, or both; undefined if
  * its kind has no body. A kind that is not `known` has neither scalars nor a value.
  *
  * @typedef {{ kind: number, session: string, seq: number | bigint, scalars: any[], value: any, known: boolean }} Message
  */
 
 /** @typedef {"int" | "float" | "bool" | "terminal" | "text" | "binary" | "ints" | "texts" | "seed"} Scalar */
-/** @typedef {"none" | "text" | "bytes" | "abstract" | "both"} Body */
+/** @typedef {"none" | "text" | "bytes" | "action" | "seen" | "observation" | "both"} Body agents have seen no extras */
 /** @typedef {{ scalars: Scalar[], body: Body }} Shape */
 
 /** @param {Body} body @param {Scalar[]} scalars @returns {Shape} */
@@ -42,18 +43,18 @@ const shape = (body, ...scalars) => ({ scalars, body });
 /** @type {[number, Shape, Shape][]} requests and replies */
 const CALLS = [
   [AGENT.INIT, shape("text"), shape("none")],
-  [AGENT.START, shape("abstract"), shape("abstract")],
-  [AGENT.STEP, shape("abstract", "float"), shape("abstract")],
+  [AGENT.START, shape("seen"), shape("action")],
+  [AGENT.STEP, shape("seen", "float"), shape("action")],
   [AGENT.END, shape("none", "float"), shape("none")],
   [AGENT.CLEANUP, shape("none"), shape("none")],
   [AGENT.MESSAGE, shape("text"), shape("text")],
   [AGENT.SEED, shape("none", "int"), shape("none")],
   [AGENT.SAVE, shape("none"), shape("bytes")],
   [AGENT.LOAD, shape("bytes"), shape("none")],
-  [AGENT.METRICS, shape("none"), shape("abstract")],
+  [AGENT.METRICS, shape("none"), shape("action")],
   [ENV.INIT, shape("none"), shape("text")],
-  [ENV.START, shape("none"), shape("abstract")],
-  [ENV.STEP, shape("abstract"), shape("abstract", "float", "terminal")],
+  [ENV.START, shape("none"), shape("observation")],
+  [ENV.STEP, shape("action"), shape("observation", "float", "terminal")],
   [ENV.CLEANUP, shape("none"), shape("none")],
   [ENV.MESSAGE, shape("text"), shape("text")],
   [ENV.SEED, shape("none", "int"), shape("none")],
@@ -73,16 +74,16 @@ const REQUESTS = [
   [RL.AGENT_MESSAGE, shape("text"), shape("text")],
   [RL.ENV_MESSAGE, shape("text"), shape("text")],
   [RL.CLEANUP, shape("none"), shape("none")],
-  [RL.ENV_START, shape("none"), shape("abstract")],
-  [RL.ENV_STEP, shape("abstract"), shape("abstract", "float", "terminal")],
-  [RL.AGENT_START, shape("abstract"), shape("abstract")],
-  [RL.AGENT_STEP, shape("abstract", "float"), shape("abstract")],
+  [RL.ENV_START, shape("none"), shape("observation")],
+  [RL.ENV_STEP, shape("action"), shape("observation", "float", "terminal")],
+  [RL.AGENT_START, shape("seen"), shape("action")],
+  [RL.AGENT_STEP, shape("seen", "float"), shape("action")],
   [RL.AGENT_END, shape("none", "float"), shape("none")],
   [RL.AGENT_SAVE, shape("none"), shape("bytes")],
   [RL.AGENT_LOAD, shape("bytes"), shape("none")],
   [RL.ENV_SAVE, shape("none"), shape("bytes")],
   [RL.ENV_LOAD, shape("bytes"), shape("none")],
-  [RL.AGENT_METRICS, shape("none"), shape("abstract")],
+  [RL.AGENT_METRICS, shape("none"), shape("action")],
 ];
 
 /** @type {ReadonlyMap<number, Shape>} */
@@ -99,7 +100,7 @@ const TO_HUB = new Map([
 const FROM_HUB = new Map([
   .../** @type {[number, Shape][]} */ (CALLS.map(([kind, request]) => [kind, request])),
   .../** @type {[number, Shape][]} */ (REQUESTS.map(([kind, , reply]) => [kind, reply])),
-  [WELCOME, shape("none", "int", "bool", "float", "float", "int")],
+  [WELCOME, shape("none", "int", "bool", "float", "float", "int", "texts")],
   [REFUSE, shape("none", "text", "text")],
   [HEARTBEAT, shape("none")],
   [GOODBYE, shape("none", "text")],
@@ -108,21 +109,22 @@ const FROM_HUB = new Map([
 ]);
 
 /**
- * The frames of a message to the hub.
+ * The frames of a message to the hub, with as much beside an observation as it takes.
  *
  * @param {number} kind @param {string} session @param {number | bigint} seq
- * @param {any[]} [scalars] @param {any} [value]
+ * @param {any[]} [scalars] @param {any} [value] @param {{ mask: boolean, extras: boolean }} [takes]
  * @returns {Buffer[]}
  */
-export function encode(kind, session, seq, scalars = [], value = undefined) {
+export function encode(kind, session, seq, scalars = [], value = undefined, takes = { mask: true, extras: true }) {
   const { scalars: types, body } = /** @type {Shape} */ (TO_HUB.get(kind));
-  const header = new HeaderWriter().array(3 + types.length).int(kind).text(session).int(seq);
+  const header = new Packer().array(3 + types.length).int(kind).text(session).int(seq);
   types.forEach((type, i) => writeScalar(header, type, scalars[i]));
   switch (body) {
     case "none": return [header.finish()];
     case "text": return [header.finish(), Buffer.from(value, "utf8")];
     case "bytes": return [header.finish(), Buffer.from(value)];
-    default: return [header.finish(), writeAbstract(value)];
+    case "action": return [header.finish(), writeAction(value)];
+    default: return [header.finish(), writeObservation(value, takes.mask, takes.extras && body !== "seen")];
   }
 }
 
@@ -132,8 +134,11 @@ export function encode(kind, session, seq, scalars = [], value = undefined) {
  * @param {Buffer} header @param {Buffer} [body] @returns {Message}
  */
 export function decode(header, body) {
-  const reader = new HeaderReader(header);
-  reader.array();
+  if (header.length > MAX_HEADER) {
+    throw new ProtocolError(`a header has at most ${MAX_HEADER} bytes, not ${header.length}`);
+  }
+  const reader = new Unpacker(header, "a header");
+  const items = reader.array();
   const kind = Number(reader.int());
   const session = reader.text();
   const seq = reader.int();
@@ -142,7 +147,9 @@ export function decode(header, body) {
   }
   const expected = FROM_HUB.get(kind);
   if (expected === undefined) return { kind, session, seq, scalars: [], value: undefined, known: false };
-  const scalars = expected.scalars.map((type) => readScalar(reader, type));
+  // A hub that knows nothing of masks and extras omits the texts of its WELCOME.
+  const types = expected.scalars.filter((type, i) => type !== "texts" || items > 3 + i);
+  const scalars = types.map((type) => readScalar(reader, type));
   reader.end();
   return { kind, session, seq, scalars, value: readBody(expected.body, body), known: true };
 }
@@ -157,18 +164,21 @@ function readBody(expected, body) {
   switch (expected) {
     case "text": return body.toString("utf8");
     case "bytes": return new Uint8Array(body);
-    case "abstract": return readAbstract(body);
+    case "action": return readAction(body);
+    case "seen": return readObservation(body, false);
+    case "observation": return readObservation(body, true);
     default: return readBoth(body);
   }
 }
 
-/** @param {HeaderReader} reader @param {Scalar} type */
+/** @param {Unpacker} reader @param {Scalar} type */
 function readScalar(reader, type) {
   switch (type) {
     case "int": return reader.int();
     case "float": return reader.float();
     case "bool": return reader.flag() !== 0;
     case "terminal": return terminalOf(reader.flag());
+    case "texts": return Array.from({ length: reader.array() }, () => reader.text());
     default: return reader.text();
   }
 }
@@ -176,7 +186,7 @@ function readScalar(reader, type) {
 /** True, false, or CUT_OFF. @param {number} flag */
 const terminalOf = (flag) => (flag === CUT_OFF ? CUT_OFF : flag !== 0);
 
-/** @param {HeaderWriter} header @param {Scalar} type @param {any} value */
+/** @param {Packer} header @param {Scalar} type @param {any} value */
 function writeScalar(header, type, value) {
   switch (type) {
     case "int": return header.int(value);
@@ -186,7 +196,7 @@ function writeScalar(header, type, value) {
     case "text": return header.text(value);
     case "binary": return header.binary(value);
     case "seed": return value === undefined ? header.nil() : header.int(value);
-    case "ints": return value.reduce((/** @type {HeaderWriter} */ to, /** @type {number} */ one) => to.int(one), header.array(value.length));
-    default: return value.reduce((/** @type {HeaderWriter} */ to, /** @type {string} */ one) => to.text(one), header.array(value.length));
+    case "ints": return value.reduce((/** @type {Packer} */ to, /** @type {number} */ one) => to.int(one), header.array(value.length));
+    default: return value.reduce((/** @type {Packer} */ to, /** @type {string} */ one) => to.text(one), header.array(value.length));
   }
 }

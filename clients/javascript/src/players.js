@@ -74,7 +74,8 @@ class Player {
     if (player.save && player.load) capabilities.push("save");
     if (player.seed) capabilities.push("seed");
     if (player.metrics && calls === AGENT_CALLS) capabilities.push("metrics");
-    if (calls === ENVIRONMENT_CALLS) capabilities.push("truncate");
+    capabilities.push("mask");
+    if (calls === ENVIRONMENT_CALLS) capabilities.push("extras", "truncate");
     /** @type {(reason: string) => void} */
     let resolve;
     /** @type {(error: Error) => void} */
@@ -146,14 +147,19 @@ class Player {
   #finish({ kind, seq }, frames, result, connection) {
     const answer =
       kind === ENV.STEP
-        ? encode(kind, this.#link.session, seq, [result.reward, result.truncated ? CUT_OFF : result.terminal], result.observation)
-        : encode(kind, this.#link.session, seq, [], kind === AGENT.METRICS ? packed(result) : result);
+        ? this.#encode(kind, seq, [result.reward, result.truncated ? CUT_OFF : result.terminal], result.observation)
+        : this.#encode(kind, seq, [], kind === AGENT.METRICS ? packed(result) : result);
     if (answer.length === 2 && answer[1].length > this.#link.maxBody) {
       throw new RangeError(`the answer has ${answer[1].length} bytes; the hub takes ${this.#link.maxBody}`);
     }
     this.#keep(seq, frames, answer);
     // Over a newer connection the hub asks again.
     if (connection === this.#link.greeted && this.#link.welcomed) this.#link.send(answer);
+  }
+
+  /** @param {number} kind @param {number | bigint} seq @param {any[]} scalars @param {any} value */
+  #encode(kind, seq, scalars, value) {
+    return encode(kind, this.#link.session, seq, scalars, value, this.#link.takes);
   }
 
   /** @param {number | bigint} seq @param {Buffer[]} call @param {Buffer[]} answer */

@@ -3,6 +3,8 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import test from "node:test";
+import { legal, readObservation, writeAction, writeObservation } from "../src/body.js";
+import { packExtras, unpackExtras } from "../src/extras.js";
 import { decode, encode } from "../src/messages.js";
 import { MessageReader, GREETING, READY, frameHead } from "../src/zmtp.js";
 
@@ -28,9 +30,11 @@ function scalar(item) {
   }
 }
 
-/** @param {{ ints: number[], doubles: string[], chars: string }} one */
-const abstract = ({ ints, doubles, chars }) => ({
+/** @param {{ ints: number[], doubles: string[], chars: string, mask?: string, extras?: string }} one */
+const abstract = ({ ints, doubles, chars, mask, extras }) => ({
   ints: Int32Array.from(ints), doubles: Float64Array.from(doubles, double), chars: new Uint8Array(bytes(chars)),
+  ...(mask && { mask: Uint8Array.from({ length: 4 * mask.length }, (_, i) => (bytes(mask)[i >> 3] >> (i & 7)) & 1) }),
+  ...(extras && { extras: unpackExtras(bytes(extras)) }),
 });
 
 /** @param {any} body @returns {any} */
@@ -45,12 +49,19 @@ function valueOf(body) {
 /** A terminal is no bigint. @param {any} value @param {number} i @param {any[]} all */
 const terminal = (value, i, all) => (value === 2n && typeof all[i - 1] === "number" ? 2 : value);
 
+/** Bigints as numbers where they are exact. @param {any} value @returns {any} */
+function numeric(value) {
+  if (Array.isArray(value)) return value.map(numeric);
+  if (value instanceof Buffer) return new Uint8Array(value);
+  return typeof value === "bigint" && Number.isSafeInteger(Number(value)) ? Number(value) : value;
+}
+
 /** @param {any} value */
 const exact = (value) => (typeof value === "number" && Number.isInteger(value) && !Object.is(value, -0) ? BigInt(value) : value);
 
 const ROLES = ["peer", "agent", "environment", "experiment"];
 const ours = (/** @type {any} */ { from, to }) => ROLES.includes(from) || ROLES.includes(to);
-const messages = [...vectors.messages, ...vectors.accepted, ...vectors.truncate].filter(ours);
+const messages = [...vectors.messages, ...vectors.accepted, ...vectors.truncate, ...vectors.beside].filter(ours);
 
 for (const { name, kind, code, session, seq, scalars, body, frames, ...entry } of messages) {
   const wire = frames.map(bytes);
@@ -68,6 +79,54 @@ for (const { name, kind, code, session, seq, scalars, body, frames, ...entry } o
     });
   }
 }
+
+for (const { name, hex, values } of vectors.extras.accepted) {
+  test(`reads and writes extras: ${name}`, () => {
+    const expected = Object.fromEntries(Object.entries(values).map(([key, value]) => [key, numeric(scalar(value))]));
+    assert.deepEqual(unpackExtras(bytes(hex)), expected);
+    if (Object.keys(expected).length > 0) assert.deepEqual(unpackExtras(packExtras(expected)), expected);
+  });
+}
+
+for (const { name, hex } of vectors.extras.refused) {
+  test(`refuses extras: ${name}`, () => assert.throws(() => unpackExtras(bytes(hex)), { name: "ProtocolError" }));
+}
+
+/** @type {Record<string, any>} */
+const NOT_SENT = {
+  "an empty name": { "": 1 },
+  "a name with a line feed": { "a\nb": 1 },
+  "a long name": { ["a".repeat(65)]: 1 },
+  "65 extras": Object.fromEntries(Array.from({ length: 65 }, (_, i) => [`n${i}`, i])),
+  "large extras": { large: new Uint8Array(65535) },
+  "huge extras": { huge: new Float64Array(70000) },
+  "a huge text": { huge: "ü".repeat(40000) },
+  "an int of 2^63": { int: 2n ** 63n },
+  "an array in an array": { nested: [[1]] },
+  "an array of texts": { texts: ["a"] },
+  "an object": { object: {} },
+  null: { nothing: null },
+  "a bool": { bool: true },
+};
+
+for (const [name, extras] of Object.entries(NOT_SENT)) {
+  test(`does not send ${name}`, () => assert.throws(() => writeObservation({ extras }, true, true), /an extra|extras|integers/));
+}
+
+test("sends what the hub takes", () => {
+  const observation = { ints: [7], mask: [false, true, true], extras: { coins: 3 } };
+  const [mask, extras] = [{ ints: [7], mask: [0, 1, 1] }, { ints: [7], extras: { coins: 3 } }];
+  assert.deepEqual(writeObservation(observation, true, false), writeObservation(mask, true, true));
+  assert.deepEqual(writeObservation(observation, false, true), writeObservation(extras, true, true));
+  assert.deepEqual(writeObservation(observation, false, false), writeAction({ ints: [7] }));
+  assert.throws(() => writeObservation({ mask: { length: 8 * 65535 + 1 } }, true, true), RangeError);
+});
+
+test("says what is legal", () => {
+  const observation = readObservation(writeObservation({ mask: [false, true, true] }, true, true), false);
+  assert.deepEqual([0, 1, 2, 3, 8].map((value) => legal(observation, value)), [false, true, true, false, false]);
+  assert.equal(legal(readObservation(writeAction({}), false), 9), true);
+});
 
 for (const { name, frames } of vectors.refused) {
   test(`refuses ${name}`, () => {

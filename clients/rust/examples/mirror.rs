@@ -5,8 +5,8 @@
 use std::cell::RefCell;
 
 use glue_rl::{
-    serve_agent, serve_environment, AbstractType, Action, Agent, Capability, Environment, Error, Experiment,
-    Observation, Options, Outcome, Step,
+    serve_agent, serve_environment, AbstractType, Action, Agent, Capability, Environment, Error, Experiment, Extra,
+    Extras, Observation, Options, Outcome, Step,
 };
 
 #[derive(Default)]
@@ -43,8 +43,31 @@ impl Mirror {
             ints: shown.ints.iter().rev().copied().chain([self.count]).collect(),
             doubles: doubles.chain([sum(&shown.ints)]).chain(more.iter().copied()).collect(),
             chars: shown.chars.iter().rev().copied().collect(),
+            ..AbstractType::default()
         }
     }
+}
+
+/// Returns an observation, with what is beside it behind its runs.
+fn shown(seen: &Observation) -> AbstractType {
+    let mut all = AbstractType { mask: vec![], extras: Extras::new(), ..seen.clone() };
+    let legal = seen.mask.iter().zip(0..).filter(|(legal, _)| **legal);
+    all.ints.extend(legal.map(|(_, value)| value));
+    for (name, extra) in &seen.extras {
+        all.chars.extend(format!("\n{name}=").into_bytes());
+        match extra {
+            Extra::Int(value) => all.chars.extend(value.to_string().into_bytes()),
+            Extra::Float(value) => all.doubles.push(*value),
+            Extra::Text(value) => all.chars.extend(value.as_bytes()),
+            Extra::Binary(value) => all.chars.extend(value),
+            Extra::Ints(values) => {
+                let decimals: Vec<_> = values.iter().map(i64::to_string).collect();
+                all.chars.extend(decimals.join(" ").into_bytes());
+            }
+            Extra::Floats(values) => all.doubles.extend(values),
+        }
+    }
+    all
 }
 
 fn sum(ints: &[i32]) -> f64 {
@@ -72,7 +95,7 @@ impl Agent for Mirror {
 
     fn step(&mut self, reward: f64, observation: &Observation) -> Outcome<Action> {
         self.count += 1;
-        Ok(self.mirror(observation, &[reward]))
+        Ok(self.mirror(&shown(observation), &[reward]))
     }
 
     fn end(&mut self, _: f64) -> Outcome<()> {
@@ -115,10 +138,23 @@ impl Environment for Mirror {
 
     fn step(&mut self, action: &Action) -> Outcome<Step> {
         self.count += 1;
+        let mut observation = self.mirror(action, &[]);
+        if action.chars.last() == Some(&b'&') {
+            observation.mask = action.ints.iter().map(|value| *value != 0).collect();
+            let extras = [
+                ("count", i64::from(self.count).into()),
+                ("half", (f64::from(self.count) + 0.5).into()),
+                ("text", "größer".into()),
+                ("chars", Extra::Binary(action.chars.clone())),
+                ("ints", Extra::Ints(action.ints.iter().copied().map(i64::from).collect())),
+                ("doubles", Extra::Floats(action.doubles.clone())),
+            ];
+            observation.extras = extras.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        }
         Ok(Step {
             reward: action.doubles.first().copied().unwrap_or(0.0),
             terminal: action.chars.last() == Some(&b'!'),
-            observation: self.mirror(action, &[]),
+            observation,
             truncated: action.chars.last() == Some(&b'?'),
         })
     }
@@ -144,7 +180,7 @@ impl Environment for Mirror {
 /// What the experiment shows of a verb's values.
 fn result(ints: Vec<i32>, mut doubles: Vec<f64>, chars: Vec<u8>) -> Action {
     doubles.push(sum(&ints));
-    Action { ints, doubles, chars }
+    Action { ints, doubles, chars, ..Action::default() }
 }
 
 /// The terminal as a number; 2 for a cut-off.
@@ -161,10 +197,11 @@ fn words(text: &str) -> Action {
 }
 
 fn both(observation: &Observation, action: &Action, ints: &[i32], doubles: &[f64]) -> Action {
+    let seen = shown(observation);
     result(
-        [&observation.ints, &action.ints, ints].concat(),
-        [&observation.doubles, &action.doubles, doubles].concat(),
-        [&observation.chars[..], &action.chars].concat(),
+        [&seen.ints, &action.ints, ints].concat(),
+        [&seen.doubles, &action.doubles, doubles].concat(),
+        [&seen.chars[..], &action.chars].concat(),
     )
 }
 
@@ -176,8 +213,7 @@ fn carry_out(
     notices: &RefCell<Vec<String>>,
 ) -> Result<Action, Error> {
     let text = String::from_utf8_lossy(argument);
-    let Observation { ints, doubles, .. } = order.observation.clone();
-    let given = Action { ints, doubles, chars: argument.to_vec() };
+    let given = Observation { chars: argument.to_vec(), extras: Extras::new(), ..order.observation.clone() };
     let nothing = AbstractType::default();
     let number = || text.parse().expect("a number");
     Ok(match verb {

@@ -1,4 +1,5 @@
 //! An agent that acts at random within the bounds of the task spec: Infinite Mario, or any task with ints as actions.
+//! Where the environment says which actions are legal, it chooses among them.
 //!
 //! `glue-experiment --env mario --episodes 10`, and beside it: `cargo run --release --example random`
 
@@ -26,9 +27,17 @@ struct RandomAgent {
 }
 
 impl RandomAgent {
-    fn act(&mut self) -> Outcome<Action> {
-        let generator = &mut self.generator;
-        let ints: Vec<_> = self.bounds.iter().map(|(low, high)| low + generator.draw(high - low + 1)).collect();
+    fn act(&mut self, observation: &Observation) -> Outcome<Action> {
+        let mut numbers = 0..; // of the values of all ints, one int after another
+        let mut ints = Vec::new();
+        for (low, high) in &self.bounds {
+            let values = (*low..=*high).zip(&mut numbers);
+            let legal: Vec<_> = values.filter(|(_, number)| observation.legal(*number)).collect();
+            if legal.is_empty() {
+                return Err("an int of the action has no legal value".into());
+            }
+            ints.push(legal[self.generator.draw(legal.len() as i32) as usize].0);
+        }
         Ok(ints.into())
     }
 }
@@ -48,12 +57,12 @@ impl Agent for RandomAgent {
         Ok(())
     }
 
-    fn start(&mut self, _: &Observation) -> Outcome<Action> {
-        self.act()
+    fn start(&mut self, observation: &Observation) -> Outcome<Action> {
+        self.act(observation)
     }
 
-    fn step(&mut self, _: f64, _: &Observation) -> Outcome<Action> {
-        self.act()
+    fn step(&mut self, _: f64, observation: &Observation) -> Outcome<Action> {
+        self.act(observation)
     }
 }
 

@@ -33,6 +33,8 @@ pub enum Error {
     },
     /// The agent or environment that is served failed; the hub is informed.
     Player(Box<dyn StdError + Send + Sync>),
+    /// A mask or extras are not what can be sent.
+    Beside(String),
     /// A body is larger than the hub accepts.
     TooLarge {
         /// Its size in bytes.
@@ -71,6 +73,7 @@ impl fmt::Display for Error {
             Error::Config(text)
             | Error::Protocol(text)
             | Error::HubClosed(text)
+            | Error::Beside(text)
             | Error::PeerLost(text)
             | Error::PeerFailed(text)
             | Error::Unsupported(text)

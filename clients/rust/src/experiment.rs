@@ -66,7 +66,7 @@ impl<'a> Experiment<'a> {
         options: &'a Options,
         on_notice: impl FnMut(&str, &str, &str) + 'a,
     ) -> Result<Self, Error> {
-        let link = Link::new("experiment", options, &[])?;
+        let link = Link::new("experiment", options, &["mask", "extras"])?;
         let on_notice = Box::new(on_notice);
         let mut experiment = Experiment { link, on_notice, frames: Frames::default(), seq: 0, answered: false };
         while !experiment.link.is_welcomed() {
@@ -85,14 +85,14 @@ impl<'a> Experiment<'a> {
     /// RL_start.
     pub fn start(&mut self) -> Result<Start, Error> {
         self.ask(kind::RL_START, &[], None)?;
-        let (observation, action) = self.both();
+        let (observation, action) = self.both()?;
         Ok(Start { observation, action })
     }
 
     /// RL_step.
     pub fn step(&mut self) -> Result<Transition, Error> {
         let reply = self.ask(kind::RL_STEP, &[], None)?;
-        let (observation, action) = self.both();
+        let (observation, action) = self.both()?;
         let (terminal, truncated) = (reply.bool(1), reply.is_cut_off(1));
         Ok(Transition { reward: reply.float(0), terminal, observation, action, truncated })
     }
@@ -138,26 +138,28 @@ impl<'a> Experiment<'a> {
     /// RL_env_start, for an experiment that stands between the players.
     pub fn env_start(&mut self) -> Result<Observation, Error> {
         self.ask(kind::RL_ENV_START, &[], None)?;
-        Ok(self.one())
+        self.one()
     }
 
     /// RL_env_step: executes an action.
     pub fn env_step(&mut self, action: &Action) -> Result<Step, Error> {
-        let reply = self.ask(kind::RL_ENV_STEP, &[], Some(&bytes(action)))?;
+        let mut body = Vec::new();
+        action.write(&mut body);
+        let reply = self.ask(kind::RL_ENV_STEP, &[], Some(&body))?;
         let (terminal, truncated) = (reply.bool(1), reply.is_cut_off(1));
-        Ok(Step { reward: reply.float(0), terminal, observation: self.one(), truncated })
+        Ok(Step { reward: reply.float(0), terminal, observation: self.one()?, truncated })
     }
 
     /// RL_agent_start: the first observation of an episode for the agent, and its action.
     pub fn agent_start(&mut self, observation: &Observation) -> Result<Action, Error> {
-        self.ask(kind::RL_AGENT_START, &[], Some(&bytes(observation)))?;
-        Ok(self.one())
+        self.ask(kind::RL_AGENT_START, &[], Some(&self.shown(observation)?))?;
+        self.one()
     }
 
     /// RL_agent_step: a reward and an observation for the agent, and its action.
     pub fn agent_step(&mut self, reward: f64, observation: &Observation) -> Result<Action, Error> {
-        self.ask(kind::RL_AGENT_STEP, &[Scalar::Float(reward)], Some(&bytes(observation)))?;
-        Ok(self.one())
+        self.ask(kind::RL_AGENT_STEP, &[Scalar::Float(reward)], Some(&self.shown(observation)?))?;
+        self.one()
     }
 
     /// RL_agent_end: the last reward for the agent.
@@ -179,7 +181,7 @@ impl<'a> Experiment<'a> {
     /// Returns the agent's own numbers with their names.
     pub fn agent_metrics(&mut self) -> Result<Vec<(String, f64)>, Error> {
         self.ask(kind::RL_AGENT_METRICS, &[], None)?;
-        let packed = self.one();
+        let packed = self.one()?;
         let names = String::from_utf8_lossy(&packed.chars).into_owned();
         Ok(names.split('\n').map(str::to_owned).zip(packed.doubles).collect())
     }
@@ -258,16 +260,24 @@ impl<'a> Experiment<'a> {
         String::from_utf8_lossy(self.body()).into_owned()
     }
 
-    fn one(&self) -> AbstractType {
+    fn one(&self) -> Result<AbstractType, Error> {
         let mut one = AbstractType::default();
-        one.read(self.body());
-        one
+        one.read(self.body())?;
+        Ok(one)
     }
 
-    fn both(&self) -> (Observation, Action) {
+    fn both(&self) -> Result<(Observation, Action), Error> {
         let (mut observation, mut action) = (Observation::default(), Action::default());
-        action.read(observation.read(self.body()));
-        (observation, action)
+        action.read(observation.read(self.body())?)?;
+        Ok((observation, action))
+    }
+
+    /// Returns what the agent is to be shown of an observation, as it crosses the wire.
+    fn shown(&self, observation: &Observation) -> Result<Vec<u8>, Error> {
+        let mut body = Vec::new();
+        observation.write_observation(&mut body)?;
+        self.link.cut(&mut body, false);
+        Ok(body)
     }
 }
 
@@ -275,10 +285,4 @@ impl Drop for Experiment<'_> {
     fn drop(&mut self) {
         self.link.close("the experiment is over");
     }
-}
-
-fn bytes(value: &AbstractType) -> Vec<u8> {
-    let mut body = Vec::new();
-    value.write(&mut body);
-    body
 }

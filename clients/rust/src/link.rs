@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::time::{Duration, Instant};
 
+use crate::abstract_type::cut;
 use crate::dealer::{Dealer, Received};
 use crate::message::{decode, encode, kind, Frames, Message, Scalar, MAX_BODY};
 use crate::{Error, Options};
@@ -23,6 +24,9 @@ pub(crate) struct Link<'a> {
     heartbeat: Duration,
     timeout: Duration,
     max_body: usize,
+    /// What the hub takes beside an observation; an older one takes neither.
+    takes_masks: bool,
+    takes_extras: bool,
     /// The connection that was greeted last; also the `seq` of that HELLO.
     greeted: u64,
     /// Whether the hub has welcomed us over that connection.
@@ -54,6 +58,8 @@ impl<'a> Link<'a> {
             heartbeat: HEARTBEAT,
             timeout: TIMEOUT,
             max_body: MAX_BODY,
+            takes_masks: false,
+            takes_extras: false,
             greeted: 0,
             welcomed: false,
             waiting: false,
@@ -72,6 +78,11 @@ impl<'a> Link<'a> {
 
     pub(crate) fn log(&self, line: &str) {
         (self.options.log)(line);
+    }
+
+    /// Cuts off what is beside an observation and not for the hub, as the hub itself does for others.
+    pub(crate) fn cut(&self, body: &mut Vec<u8>, with_extras: bool) {
+        cut(body, self.takes_masks, self.takes_extras && with_extras);
     }
 
     /// Checks that the hub accepts a body of this size.
@@ -181,6 +192,8 @@ impl<'a> Link<'a> {
         self.heartbeat = seconds(message.float(2)).min(MAX_HEARTBEAT);
         self.timeout = seconds(message.float(3)).max(self.heartbeat);
         self.max_body = message.int(4).min(MAX_BODY as u64) as usize;
+        self.takes_masks = message.confirms("mask");
+        self.takes_extras = message.confirms("extras");
         if self.waiting {
             self.log(&format!("the hub at {} is there", self.options.hub));
         }

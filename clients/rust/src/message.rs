@@ -1,9 +1,10 @@
 //! Every kind of message: docs/protocol-reference.md, "Every kind of message".
 
 use crate::abstract_type::skip;
-use crate::header::{Reader, Writer};
+use crate::msgpack::{Reader, Writer, MAX_ITEMS};
 use crate::Error;
 
+pub(crate) const MAX_HEADER: usize = 4096;
 pub(crate) const MAX_BODY: usize = 16_777_216;
 const MAX_SESSION: usize = 255;
 
@@ -100,6 +101,8 @@ enum Type {
     /// A bool, or [`CUT_OFF`].
     End,
     Text,
+    /// An array of texts, which may be missing.
+    Texts,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -107,7 +110,10 @@ enum Body {
     None,
     /// A text or bytes.
     Bytes,
-    Abstract,
+    Action,
+    /// An observation without extras, as agents see it.
+    Seen,
+    Observation,
     /// An observation and an action.
     Both,
 }
@@ -154,6 +160,11 @@ impl Message {
         self.scalars[scalar] == Scalar::Int(CUT_OFF)
     }
 
+    /// Returns whether a WELCOME confirms a capability; an older hub confirms none.
+    pub(crate) fn confirms(&self, capability: &str) -> bool {
+        matches!(self.scalars.get(5), Some(Scalar::Array(all)) if all.contains(&capability.into()))
+    }
+
     pub(crate) fn text(&self, scalar: usize) -> &str {
         match &self.scalars[scalar] {
             Scalar::Text(value) => value,
@@ -165,23 +176,23 @@ impl Message {
 /// Returns what a kind carries when it comes from the hub.
 fn from_hub(kind: u64) -> Option<(&'static [Type], Body)> {
     use kind::*;
-    use Type::{Bool, End, Float, Int, Text};
+    use Type::{Bool, End, Float, Int, Text, Texts};
     Some(match kind {
         ENV_INIT | ENV_START | ENV_CLEANUP | ENV_SAVE | AGENT_CLEANUP | AGENT_SAVE | RL_CLEANUP | RL_AGENT_END
         | RL_AGENT_LOAD | RL_ENV_LOAD | AGENT_METRICS | HEARTBEAT => (&[], Body::None),
         AGENT_INIT | AGENT_MESSAGE | AGENT_LOAD | ENV_MESSAGE | ENV_LOAD | RL_INIT | RL_AGENT_MESSAGE
         | RL_ENV_MESSAGE | RL_AGENT_SAVE | RL_ENV_SAVE => (&[], Body::Bytes),
-        AGENT_START | ENV_STEP | RL_ENV_START | RL_AGENT_START | RL_AGENT_STEP | RL_AGENT_METRICS => {
-            (&[], Body::Abstract)
-        }
-        AGENT_STEP => (&[Float], Body::Abstract),
-        RL_ENV_STEP => (&[Float, End], Body::Abstract),
+        ENV_STEP | RL_AGENT_START | RL_AGENT_STEP | RL_AGENT_METRICS => (&[], Body::Action),
+        AGENT_START => (&[], Body::Seen),
+        AGENT_STEP => (&[Float], Body::Seen),
+        RL_ENV_START => (&[], Body::Observation),
+        RL_ENV_STEP => (&[Float, End], Body::Observation),
         RL_START => (&[], Body::Both),
         RL_STEP => (&[Float, End], Body::Both),
         AGENT_END | RL_RETURN => (&[Float], Body::None),
         AGENT_SEED | ENV_SEED | RL_NUM_STEPS | RL_NUM_EPISODES => (&[Int], Body::None),
         RL_EPISODE => (&[End], Body::None),
-        WELCOME => (&[Int, Bool, Float, Float, Int], Body::None),
+        WELCOME => (&[Int, Bool, Float, Float, Int, Texts], Body::None),
         GOODBYE => (&[Text], Body::None),
         REFUSE | ERROR => (&[Text, Text], Body::None),
         NOTICE => (&[Text, Text, Text], Body::None),
@@ -215,8 +226,12 @@ fn write(header: &mut Writer, scalar: &Scalar) {
 
 /// Returns what frames from the hub say, or what is wrong with them.
 pub(crate) fn decode(frames: &Frames) -> Result<Message, Error> {
-    let mut reader = Reader::new(&frames.header)?;
-    reader.array()?;
+    if frames.header.len() > MAX_HEADER {
+        let size = frames.header.len();
+        return Err(Error::Protocol(format!("a header has at most {MAX_HEADER} bytes, not {size}")));
+    }
+    let mut reader = Reader::new(&frames.header, "a header");
+    let items = reader.array(MAX_ITEMS)?;
     let kind = reader.int()?;
     let session = reader.text()?.to_owned();
     let seq = reader.int()?;
@@ -235,6 +250,11 @@ pub(crate) fn decode(frames: &Frames) -> Result<Message, Error> {
             Type::Bool => Scalar::Bool(reader.flag()? != 0),
             Type::End => Scalar::end(reader.flag()?),
             Type::Text => Scalar::Text(reader.text()?.to_owned()),
+            Type::Texts if items == 3 + scalars.len() as u64 => break,
+            Type::Texts => {
+                let count = reader.array(MAX_ITEMS)?;
+                Scalar::Array((0..count).map(|_| reader.text().map(Scalar::from)).collect::<Result<_, _>>()?)
+            }
         });
     }
     reader.end()?;
@@ -247,8 +267,10 @@ fn check(kind: u64, expected: Body, body: Option<&[u8]>) -> Result<(), Error> {
         (Body::None, None) | (Body::Bytes, Some(_)) => return Ok(()),
         (Body::None, Some(_)) => return Err(Error::Protocol(format!("kind {kind} has no body, and came with one"))),
         (_, None) => return Err(Error::Protocol(format!("kind {kind} has a body, and came without one"))),
-        (Body::Abstract, Some(body)) => skip(body)?,
-        (Body::Both, Some(body)) => skip(skip(body)?)?,
+        (Body::Action, Some(body)) => skip(body, false, false)?,
+        (Body::Seen, Some(body)) => skip(body, true, false)?,
+        (Body::Observation, Some(body)) => skip(body, true, true)?,
+        (Body::Both, Some(body)) => skip(skip(body, true, true)?, false, false)?,
     };
     if !rest.is_empty() {
         return Err(Error::Protocol(format!("the body of kind {kind} is longer than its counts say")));

@@ -20,11 +20,11 @@ pub fn serve_agent(agent: &mut dyn Agent, options: &Options) -> Result<String, E
         match message.kind {
             kind::AGENT_INIT => agent.init(&text(body))?,
             kind::AGENT_START => {
-                seen.read(body);
+                seen.read(body)?;
                 agent.start(&seen)?.write(answer.body());
             }
             kind::AGENT_STEP => {
-                seen.read(body);
+                seen.read(body)?;
                 agent.step(message.float(0), &seen)?.write(answer.body());
             }
             kind::AGENT_END => agent.end(message.float(0))?,
@@ -35,7 +35,8 @@ pub fn serve_agent(agent: &mut dyn Agent, options: &Options) -> Result<String, E
             kind::AGENT_LOAD => agent.load(body)?,
             kind::AGENT_METRICS => {
                 let (names, doubles): (Vec<_>, Vec<_>) = agent.metrics()?.into_iter().unzip();
-                AbstractType { ints: vec![], doubles, chars: names.join("\n").into_bytes() }.write(answer.body());
+                let chars = names.join("\n").into_bytes();
+                AbstractType { doubles, chars, ..AbstractType::default() }.write(answer.body());
             }
             _ => return Ok(false),
         }
@@ -54,13 +55,13 @@ pub fn serve_environment(environment: &mut dyn Environment, options: &Options) -
     serve("environment", &capabilities, options, &mut |message, body, answer| {
         match message.kind {
             kind::ENV_INIT => *answer.body() = environment.init()?.into_bytes(),
-            kind::ENV_START => environment.start()?.write(answer.body()),
+            kind::ENV_START => environment.start()?.write_observation(answer.body())?,
             kind::ENV_STEP => {
-                done.read(body);
+                done.read(body)?;
                 let step = environment.step(&done)?;
                 let end = if step.truncated { Scalar::Int(CUT_OFF) } else { Scalar::Bool(step.terminal) };
                 answer.scalars = vec![Scalar::Float(step.reward), end];
-                step.observation.write(answer.body());
+                step.observation.write_observation(answer.body())?;
             }
             kind::ENV_CLEANUP => environment.cleanup()?,
             kind::ENV_MESSAGE => *answer.body() = environment.message(&text(body))?.into_bytes(),
@@ -111,8 +112,9 @@ fn serve<'a>(
             Capability::Metrics => "metrics",
         })
         .collect();
+    capabilities.push("mask");
     if role == "environment" {
-        capabilities.push("truncate");
+        capabilities.extend(["extras", "truncate"]);
     }
     let link = Link::new(role, options, &capabilities)?;
     let mut player = Player { link, call, last_seq: 0, last_call: Frames::default(), last_answer: Frames::default() };
@@ -178,6 +180,9 @@ impl Player<'_> {
             let header = self.link.error(message.seq, "unknown-kind", &text);
             self.last_answer = Frames { header, body: None };
             return Ok(());
+        }
+        if let (kind::ENV_START | kind::ENV_STEP, Some(body)) = (message.kind, &mut answer.body) {
+            self.link.cut(body, true);
         }
         if let Err(error) = self.link.check(answer.body.as_deref()) {
             return Err(self.report(message.seq, error.into()));

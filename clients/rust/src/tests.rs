@@ -1,8 +1,9 @@
 //! The codec against glue/testing/vectors.json, which docs/clients.md describes.
 
+use crate::abstract_type::cut;
 use crate::message::{decode, encode, Frames, Scalar};
 use crate::zmtp::{greeting, put_frame, FrameReader, Item, COMMAND, MORE, READY};
-use crate::{AbstractType, Error};
+use crate::{extras, AbstractType, Error, Extra, Extras};
 
 use self::json::Json;
 
@@ -155,6 +156,19 @@ fn abstract_type(one: &Json) -> AbstractType {
         ints: one.get("ints").array().iter().map(|value| value.number() as i32).collect(),
         doubles: one.get("doubles").array().iter().map(float).collect(),
         chars: bytes(one.get("chars").text()),
+        mask: optional(one, "mask").iter().flat_map(|byte| (0..8).map(move |i| byte >> i & 1 == 1)).collect(),
+        extras: match optional(one, "extras") {
+            packed if packed.is_empty() => Extras::new(),
+            packed => extras::unpack(&packed).expect("extras"),
+        },
+    }
+}
+
+/// Returns bytes that may be missing.
+fn optional(one: &Json, key: &str) -> Vec<u8> {
+    match one.get(key) {
+        Json::Text(hex) => bytes(hex),
+        _ => Vec::new(),
     }
 }
 
@@ -165,10 +179,27 @@ fn body(body: &Json) -> Option<Vec<u8>> {
         body if body.get("bytes") != &Json::Null => Some(bytes(body.get("bytes").text())),
         body => {
             let mut written = Vec::new();
-            body.get("abstract").array().iter().for_each(|one| abstract_type(one).write(&mut written));
+            for one in body.get("abstract").array() {
+                abstract_type(one).write_observation(&mut written).expect("what can be sent");
+            }
             Some(written)
         }
     }
+}
+
+/// Returns the body of frames as this library writes it, whose extras are in the order of their names.
+fn rewritten(entry: &Json) -> Option<Vec<u8>> {
+    let body = frames(entry).body?;
+    if entry.get("body").get("abstract") == &Json::Null {
+        return Some(body);
+    }
+    let (mut rest, mut written) = (&body[..], Vec::new());
+    while !rest.is_empty() {
+        let mut one = AbstractType::default();
+        rest = one.read(rest).expect("an observation or action");
+        one.write_observation(&mut written).expect("what can be sent");
+    }
+    Some(written)
 }
 
 fn frames(entry: &Json) -> Frames {
@@ -209,7 +240,7 @@ fn is_ours(role: &str) -> bool {
 #[test]
 fn decodes_what_the_hub_sends() {
     let vectors = vectors();
-    let sections = [vectors.get("messages"), vectors.get("accepted"), vectors.get("truncate")];
+    let sections = ["messages", "accepted", "truncate", "beside"].map(|name| vectors.get(name));
     let all = sections.iter().flat_map(|section| section.array());
     for entry in all.filter(|entry| entry.get("from").text() == "hub" && is_ours(entry.get("to").text())) {
         let message = decode(&frames(entry)).unwrap_or_else(|error| panic!("{error}: {entry:?}"));
@@ -219,17 +250,7 @@ fn decodes_what_the_hub_sends() {
         let scalars: Vec<_> = entry.get("scalars").array().iter().map(scalar).collect();
         assert_eq!(message.scalars.len(), scalars.len(), "{entry:?}");
         assert_eq!(shown(&message.scalars, &message.scalars), shown(&scalars, &message.scalars), "{entry:?}");
-        assert_eq!(body(entry.get("body")), frames(entry).body, "{entry:?}");
-        if let Json::Object(items) = entry.get("body") {
-            if items[0].0 == "abstract" {
-                let mut rest = frames(entry).body.expect("a body");
-                for one in items[0].1.array() {
-                    let mut read = AbstractType::default();
-                    rest = read.read(&rest).to_vec();
-                    assert_eq!(format!("{read:?}"), format!("{:?}", abstract_type(one)));
-                }
-            }
-        }
+        assert_eq!(body(entry.get("body")), rewritten(entry), "{entry:?}");
         let (items, received) = read(&bytes(entry.get("wire").text())).expect("the wire");
         assert!(items == [Item::Message] && received == frames(entry), "{entry:?}");
     }
@@ -238,18 +259,18 @@ fn decodes_what_the_hub_sends() {
 #[test]
 fn encodes_what_it_sends() {
     let vectors = vectors();
-    let sections = [vectors.get("messages"), vectors.get("truncate")];
+    let sections = ["messages", "truncate", "beside"].map(|name| vectors.get(name));
     let all = sections.iter().flat_map(|section| section.array());
     for entry in all.filter(|entry| entry.get("to").text() == "hub" && is_ours(entry.get("from").text())) {
         let scalars: Vec<_> = entry.get("scalars").array().iter().map(scalar).collect();
         let code = entry.get("code").number() as u64;
         let seq = entry.get("seq").text().parse().expect("a whole number");
         let header = encode(code, entry.get("session").text(), seq, &scalars);
-        let encoded = Frames { header, body: body(entry.get("body")) };
-        assert!(encoded == frames(entry), "{entry:?}");
+        let sent = frames(entry);
+        assert_eq!((header, body(entry.get("body"))), (sent.header.clone(), rewritten(entry)), "{entry:?}");
         let mut wire = Vec::new();
-        put_frame(&mut wire, if encoded.body.is_some() { MORE } else { 0 }, &encoded.header);
-        encoded.body.iter().for_each(|body| put_frame(&mut wire, 0, body));
+        put_frame(&mut wire, if sent.body.is_some() { MORE } else { 0 }, &sent.header);
+        sent.body.iter().for_each(|body| put_frame(&mut wire, 0, body));
         assert_eq!(wire, bytes(entry.get("wire").text()), "{entry:?}");
     }
 }
@@ -278,4 +299,84 @@ fn speaks_zmtp() {
             assert!(read(&bytes(entry.get("hex").text())).is_err(), "{entry:?}");
         }
     }
+}
+
+/// Returns what a scalar of the vectors is among extras.
+fn extra(item: &Json) -> Extra {
+    let int = |item: &Json| item.get("int").text().parse().expect("a whole number");
+    let (kind, value) = match item {
+        Json::Object(items) => &items[0],
+        _ => panic!("{item:?} is no extra"),
+    };
+    match (kind.as_str(), value) {
+        ("int", _) => Extra::Int(int(item)),
+        ("float", value) => float(value).into(),
+        ("text", value) => value.text().into(),
+        ("binary", value) => Extra::Binary(bytes(value.text())),
+        (_, Json::Array(items)) if items.first().map_or(false, |one| one.get("float") != &Json::Null) => {
+            Extra::Floats(items.iter().map(|one| float(one.get("float"))).collect())
+        }
+        (_, value) => Extra::Ints(value.array().iter().map(int).collect()),
+    }
+}
+
+#[test]
+fn reads_and_writes_extras() {
+    let vectors = vectors();
+    for entry in vectors.get("extras").get("accepted").array() {
+        let values = match entry.get("values") {
+            Json::Object(values) => values.iter().map(|(name, value)| (name.clone(), extra(value))).collect(),
+            other => panic!("{other:?} are no values"),
+        };
+        let read = extras::unpack(&bytes(entry.get("hex").text())).expect("extras");
+        assert_eq!(read, values, "{entry:?}");
+        let packed = extras::pack(&values).expect("what can be sent");
+        assert!(values.is_empty() || extras::unpack(&packed).expect("extras") == values, "{entry:?}");
+    }
+    for entry in vectors.get("extras").get("refused").array() {
+        let refused = extras::unpack(&bytes(entry.get("hex").text()));
+        assert!(matches!(refused, Err(Error::Protocol(_))), "{entry:?}");
+    }
+}
+
+#[test]
+fn refuses_to_send_what_nobody_would_read() {
+    let named = |name: &str, value: Extra| Extras::from([(name.to_owned(), value)]);
+    let refused = [
+        named("", 1.into()),
+        named("a\nb", 1.into()),
+        named(&"é".repeat(65), 1.into()),
+        named("large", Extra::Binary(vec![0; 65_535])),
+        named("huge", Extra::Floats(vec![0.0; 70_000])),
+        (0..65).map(|i| (i.to_string(), i.into())).collect(),
+    ];
+    for extras in refused {
+        let observation = AbstractType { extras, ..AbstractType::default() };
+        assert!(matches!(observation.write_observation(&mut Vec::new()), Err(Error::Beside(_))), "{observation:?}");
+    }
+    let observation = AbstractType { mask: vec![true; 8 * 65_535 + 1], ..AbstractType::default() };
+    assert!(matches!(observation.write_observation(&mut Vec::new()), Err(Error::Beside(_))));
+}
+
+#[test]
+fn cuts_off_what_a_hub_does_not_take() {
+    let (mut all, mut mask, mut extras, mut neither) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let full = AbstractType {
+        ints: vec![7],
+        mask: vec![false, true, true],
+        extras: Extras::from([("coins".to_owned(), 3.into())]),
+        ..AbstractType::default()
+    };
+    full.write_observation(&mut all).unwrap();
+    AbstractType { extras: Extras::new(), ..full.clone() }.write_observation(&mut mask).unwrap();
+    AbstractType { mask: vec![], ..full.clone() }.write_observation(&mut extras).unwrap();
+    full.write(&mut neither);
+    for (with_mask, with_extras, kept) in
+        [(true, true, &all), (true, false, &mask), (false, true, &extras), (false, false, &neither)]
+    {
+        let mut body = all.clone();
+        cut(&mut body, with_mask, with_extras);
+        assert_eq!(&body, kept);
+    }
+    assert!(full.legal(1) && !full.legal(0) && !full.legal(3) && AbstractType::default().legal(9));
 }

@@ -1,6 +1,6 @@
 //! ZMTP 3.1 with the NULL mechanism, as the last appendix of docs/protocol-reference.md says: bytes, no sockets.
 
-use crate::header::MAX_HEADER;
+use crate::message::MAX_HEADER;
 use crate::message::{Frames, MAX_BODY};
 use crate::Error;
 

@@ -46,12 +46,14 @@ class InfiniteMarioBatch(Environment):
         games: number of games.
 
     Raises:
-        ConfigError: so many games do not fit into a message.
+        ConfigError: so many games do not fit into a message, or the environment has extras.
     """
 
     def __init__(self, environment: InfiniteMario, games: int) -> None:
         if not 1 <= games <= _MAX_GAMES:
             raise ConfigError(f"a batch of Infinite Mario has 1 to {_MAX_GAMES} games, not {games}")
+        if environment.env_extras:
+            raise ConfigError("a batch carries no extras: leave out the option extras")
         self.__wrapped__ = environment
         self._count = games
         self._games: Games | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
@@ -23,6 +24,7 @@ LEGEND: Final = (
     "score     of a task: the sum of all rewards, learning included, mean over trials; a forfeited trial "
     "scores what an agent that stands still earns, or the lowest verified score if that is lower",
 )
+_LATE: Final = "late      share of the actions that came too late for their step, in tasks with a rate"
 
 
 def number(value: float) -> str:
@@ -44,6 +46,9 @@ def as_text(board: Standings, width: int | None = None) -> str:
         width: of the terminal in characters, None for no limit.
     """
     header = ("place", "entrant", "mean rank", "total", "95 % interval", "by total", *board.tasks)
+    timed = _timed(board)
+    if timed:
+        header += ("late",)
     placed = [standing for standing in board.entrants if standing.place is not None]
     parts = [one_line(board.competition)]
     if placed:
@@ -60,7 +65,7 @@ def as_text(board: Standings, width: int | None = None) -> str:
     notes += [f"{one.name} is {one_line(one.player)}, {one.id}" for one in board.entrants if one.id]
     if notes:
         parts.append("\n".join(notes))
-    parts += ["\n".join(LEGEND), one_line(board.program)]
+    parts += ["\n".join([*LEGEND, *([_LATE] if timed else [])]), one_line(board.program)]
     if board.seeds:
         seeds = [
             (seed.task, str(seed.trial), str(seed.seed), json.dumps(seed.options)) for seed in board.seeds
@@ -76,6 +81,8 @@ def as_csv(board: Standings) -> str:
     header = ["place", "entrant", "mean_rank", "place_by_total", "total", "low", "high"]
     for task in board.tasks:
         header += [f"score {task}", f"rank {task}"]
+    timed = ["late"] if _timed(board) else []
+    header += timed
     writer.writerow(
         [*header, "forfeits", "no_place", "player", "id", "program", *(["seeds"] if board.seeds else [])]
     )
@@ -83,11 +90,12 @@ def as_csv(board: Standings) -> str:
     for standing in board.entrants:
         row: list[object] = [standing.place, standing.name]
         if standing.place is None:
-            row += [""] * (5 + 2 * len(board.tasks))
+            row += [""] * (5 + 2 * len(board.tasks) + len(timed))
         else:
             row += [standing.mean_rank, standing.place_by_total, standing.total, standing.low, standing.high]
             for task in board.tasks:
                 row += [standing.tasks[task].score, standing.tasks[task].rank]
+            row += [standing.late] if timed else []
         forfeits = "; ".join(f"{lost.task}/{lost.trial}: {lost.reason}" for lost in standing.forfeits)
         texts = (forfeits, standing.missing, standing.player, standing.id, board.program)
         writer.writerow(csv_row([*row, *texts, *seeds]))
@@ -108,7 +116,13 @@ def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
         f"{number(standing.low)} .. {number(standing.high)}",
         str(standing.place_by_total),
         *(number(standing.tasks[task].score) for task in board.tasks),
+        *([f"{standing.late:.1%}"] if _timed(board) else []),
     )
+
+
+def _timed(board: Standings) -> bool:
+    """Return whether an entrant with a place has played a task with a rate."""
+    return any(not math.isnan(one.late) for one in board.entrants if one.place is not None)
 
 
 def plain(board: DataclassInstance) -> object:

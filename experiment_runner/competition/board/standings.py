@@ -84,6 +84,7 @@ class Standing:
         missing: short reason for having no place.
         player: what its settings name: an image, a command, the file of a key, a folder.
         id: what that name stood for: the image's id, or the public key; empty for others.
+        late: share of its actions that were late, in the tasks with a rate; NaN without one.
     """
 
     name: str
@@ -98,6 +99,7 @@ class Standing:
     missing: str = ""
     player: str = ""
     id: str = ""
+    late: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +190,7 @@ class _Judged(NamedTuple):
     forfeit     why it was forfeited; None if it was not
     score       verified
     curve       see `_curve`
+    late        number of late actions, and of all; none without a rate
     """
 
     trial: TrialId
@@ -195,10 +198,12 @@ class _Judged(NamedTuple):
     forfeit: str | None = None
     score: float = math.nan
     curve: FloatArray = np.zeros(0)
+    late: tuple[float, int] = (0, 0)
 
 
 def _judged(results: Results, course: Course) -> Iterator[_Judged]:
     outcomes, verdicts = results.outcomes(), results.verdicts()
+    rated = {task.name for task in course.competition.tasks if task.rate}
     for planned, trial in course.counting.items():
         outcome, verdict = outcomes.get(trial), verdicts.get(trial)
         if outcome is None:
@@ -210,8 +215,11 @@ def _judged(results: Results, course: Course) -> Iterator[_Judged]:
         elif _digest(record_path(results.directory, trial)) != verdict.digest:
             yield _Judged(planned, "changed since it was verified", outcome.reason)
         else:
-            curve = _curve(results.episodes(trial) if outcome.reason is None else ())
-            yield _Judged(planned, "", outcome.reason, verdict.score, curve)
+            episodes = results.episodes(trial)
+            curve = _curve(episodes if outcome.reason is None else ())
+            timed = episodes if planned.parts[1] in rated else ()
+            late = (sum(one.late for one in timed), sum(one.steps for one in timed))
+            yield _Judged(planned, "", outcome.reason, verdict.score, curve, late)
 
 
 def _standing(
@@ -238,6 +246,7 @@ def _standing(
         curves = [one.curve for one in theirs if len(one.curve)]
         curve = tuple(np.mean(curves, axis=0).tolist()) if curves else ()
         scores[task] = TaskScore(float(np.mean(trials)), trials, math.nan, curve)
+    late, actions = (sum(one.late[i] for one in judged) for i in (0, 1))
     return Standing(
         admitted.subject,
         tasks=scores,
@@ -247,6 +256,7 @@ def _standing(
         missing=why,
         player=admitted.player,
         id=admitted.id,
+        late=late / actions if actions and not why else math.nan,
     )
 
 

@@ -304,7 +304,7 @@ def malformed(kit: Harness) -> None:
 
 @RULES.add(Tier.COMPLETE, "bodies", level=Requirement.SHOULD)
 def malformed_bodies(kit: Harness) -> None:
-    """A body that is not as long as its counts say, or whose fourth word is not zero, is not accepted."""
+    """A body that is not as long as its counts say, those of mask and extras included, is not accepted."""
     for name, change in forms.SPOILED_BODIES.items():
         _spoil(kit, name, change, kit.with_body)
 

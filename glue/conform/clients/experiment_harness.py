@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any, Final
@@ -14,7 +14,7 @@ from glue.conform.clients.mirror import carry_out
 from glue.engine.experiment import Experiment
 from glue.types import AbstractType, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
-from glue.wire.messages import CALLS, Event, Kind, Message, Role, Value
+from glue.wire.messages import BESIDE, CALLS, Event, Kind, Message, Role, Value
 
 SPEC: Final = "a task for a mirror, größer als nötig".encode()
 SEEN: Final = Observation([3, 5], [0.5], b"ab")
@@ -39,7 +39,8 @@ class Order:
     def observation(self) -> Observation:
         """The order as the observation of RL_ENV_STEP."""
         chars = self.verb.encode() + (b" " + self.argument if self.argument else b"")
-        return Observation(self.shown.ints, self.shown.doubles, chars)
+        mask = self.shown.mask if isinstance(self.shown, Observation) else None
+        return Observation(self.shown.ints, self.shown.doubles, chars, mask=mask)
 
 
 class _Replying(Experiment):
@@ -125,9 +126,14 @@ class ExperimentHarness(Harness):
         self.run(self.order(order))
 
     def welcome(
-        self, resumed: bool = True, heartbeat: float = 1.0, max_body: int = MAX_BODY, seq: int | None = None
+        self,
+        resumed: bool = True,
+        heartbeat: float = 1.0,
+        max_body: int = MAX_BODY,
+        seq: int | None = None,
+        carries: Set[str] | None = BESIDE,
     ) -> None:
-        super().welcome(resumed, heartbeat, max_body, seq)
+        super().welcome(resumed, heartbeat, max_body, seq, carries)
         for role in (Role.AGENT, Role.ENVIRONMENT):
             self.send(Kind.NOTICE, Event.JOINED, role, "a mirror (the kit)")
 

@@ -14,12 +14,23 @@ from glue.conform.clients.connection import Gone
 from glue.conform.clients.experiment_harness import BOTH, DONE, SEEN, SPEC, ExperimentHarness, Order
 from glue.conform.clients.harness import MAX_BODY, Harness
 from glue.conform.clients.mirror import result
-from glue.conform.forms import CHARS, DOUBLES, EMPTY, INTS, MANY, NOT_UTF_8, REWARDS, TEXTS
+from glue.conform.forms import (
+    CHARS,
+    DOUBLES,
+    EMPTY,
+    INTS,
+    MANY,
+    MASKED,
+    NOT_UTF_8,
+    REWARDS,
+    TEXTS,
+    WITH_EXTRAS,
+)
 from glue.conform.messages import described, same
 from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.types import CUT_OFF, AbstractType, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
-from glue.wire.messages import OUTCOME, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import EXTRAS, MASK, OUTCOME, ErrorCode, Event, Kind, Message, Role
 
 RULES: Final = Rules((Role.EXPERIMENT,))
 
@@ -278,6 +289,34 @@ def truncate(kit: ExperimentHarness) -> None:
         kit.send_frames(kit.reply(order).frames)
         _cut_off(kit, order)
     kit.do(Order("RL_STEP", scalars=(1.0, True), body=BOTH))
+
+
+@RULES.add(Tier.COMPLETE, "beside-the-observation", capability=MASK)
+def mask(kit: ExperimentHarness) -> None:
+    """Masks are read, also before an action; an observation for the agent has the mask that it is given."""
+    kit.do(*_seen(*MASKED))
+    for each in MASKED:
+        kit.do(
+            Order("RL_AGENT_START", b"xyz", each, body=DONE.body),
+            Order("RL_AGENT_STEP", b"xyz", each, 0.5, body=DONE.body),
+        )
+
+
+@RULES.add(Tier.COMPLETE, "beside-the-observation", capability=EXTRAS)
+def extras(kit: ExperimentHarness) -> None:
+    """Extras of every type are read, behind a mask or without one."""
+    kit.do(*_seen(*WITH_EXTRAS))
+
+
+def _seen(*observations: Observation) -> list[Order]:
+    """Return orders whose replies carry observations, alone and before an action."""
+    orders = []
+    for each in observations:
+        orders.append(Order("RL_ENV_START", body=each.body))
+        orders.append(Order("RL_ENV_STEP", b"xyz", DONE, scalars=(2.5, False), body=each.body))
+        orders.append(Order("RL_START", body=each.body + DONE.body))
+        orders.append(Order("RL_STEP", scalars=(0.5, True), body=each.body + DONE.body))
+    return orders
 
 
 def _cut_off(kit: ExperimentHarness, order: Order) -> None:

@@ -6,7 +6,7 @@ For a player an exchange is a call and its answer; for an experiment, the reply 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from typing import Final, NamedTuple, TypeVar
 
 from glue.conform.clients import mirror
@@ -18,7 +18,7 @@ from glue.errors import RemoteProtocolError
 from glue.system import chance, clock
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
-from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
+from glue.wire.messages import BESIDE, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
 
 MAX_BODY: Final = 2**20
 """Bytes of the largest body that the kit accepts, as its WELCOME says."""
@@ -183,12 +183,19 @@ class Harness(ABC):
         return self._greeted(hello)
 
     def welcome(
-        self, resumed: bool = True, heartbeat: float = 1.0, max_body: int = MAX_BODY, seq: int | None = None
+        self,
+        resumed: bool = True,
+        heartbeat: float = 1.0,
+        max_body: int = MAX_BODY,
+        seq: int | None = None,
+        carries: Set[str] | None = BESIDE,
     ) -> None:
-        """Answer the HELLO."""
+        """Answer the HELLO, as a hub that `carries` these beside an observation; None: as an older hub."""
         named = self._hello.seq if seq is None else seq
-        timeout = max(5.0, self.wait)
-        self.send(Kind.WELCOME, PROTOCOL_VERSION, resumed, heartbeat, timeout, max_body, seq=named)
+        offered = BESIDE.intersection(self.capabilities)
+        confirmed = () if carries is None or not offered else (tuple(sorted(offered & carries)),)
+        scalars = PROTOCOL_VERSION, resumed, heartbeat, max(5.0, self.wait), max_body, *confirmed
+        self.send(Kind.WELCOME, *scalars, seq=named)
 
     def reconnect(self, queued: Message | None = None) -> None:
         """Let the client connect anew, and resume the session; `queued` as for `connect`."""

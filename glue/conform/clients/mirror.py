@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from glue.client.experiment import connect
 from glue.client.players import serve_agent, serve_environment
@@ -35,6 +35,8 @@ END: Final = b"!"
 """The last char of an action that ends the episode."""
 CUT: Final = b"?"
 """The last char of an action that cuts the episode off."""
+BESIDE: Final = b"&"
+"""The last char of an action that is answered with a mask and extras."""
 
 
 class _Mirror:
@@ -55,16 +57,19 @@ class _Mirror:
     def load(self, saved: bytes) -> None:
         self.count, self.seed = map(int, saved.split())
 
-    def runs(self, shown: AbstractType, *more: float) -> tuple[list[int], list[float], bytes]:
-        """Return the mirrored ints, doubles and chars of `shown`, with the mirror's additions."""
-        if shown.counts == (0, 0, 0):
+    def runs(self, seen: AbstractType, *more: float) -> tuple[list[int], list[float], bytes]:
+        """Return the mirrored ints, doubles and chars of `seen`, with the mirror's additions."""
+        ints, doubles, chars = shown(seen)
+        if not ints and not doubles and not chars:
             return [], [], b""
-        ints = [*shown.ints[::-1].tolist(), self.count]
-        return ints, [*shown.doubles[::-1].tolist(), total(shown.ints.tolist()), *more], shown.chars[::-1]
+        return [*ints[::-1], self.count], [*doubles[::-1], total(ints), *more], chars[::-1]
 
 
 class MirrorAgent(_Mirror, Agent):
     """The mirror's agent."""
+
+    agent_masks = True
+    _told: tuple[float, ...] = ()
 
     def agent_init(self, task_spec: str) -> None:
         self.count: int = 0
@@ -72,9 +77,13 @@ class MirrorAgent(_Mirror, Agent):
     def agent_start(self, observation: Observation) -> Action:
         return self.agent_step(0.0, observation)
 
+    def agent_pace(self, deadline: float, latency: float) -> None:
+        self._told = (deadline, latency)
+
     def agent_step(self, reward: float, observation: Observation) -> Action:
         self.count += 1
-        return Action(*self.runs(observation, reward))
+        told, self._told = self._told, ()
+        return Action(*self.runs(observation, reward, *told))
 
     def agent_end(self, reward: float) -> None:
         self.count += 1
@@ -98,6 +107,9 @@ class MirrorAgent(_Mirror, Agent):
 class MirrorEnvironment(_Mirror, Environment):
     """The mirror's environment."""
 
+    env_masks = True
+    env_extras = True
+
     def env_init(self) -> str:
         self.count: int = 0
         return TASK_SPEC
@@ -110,7 +122,22 @@ class MirrorEnvironment(_Mirror, Environment):
         self.count += 1
         reward = float(action.doubles[0]) if len(action.doubles) else 0.0
         last = action.chars[-1:]
-        return Step(reward, Observation(*self.runs(action)), last in (END, CUT), last == CUT)
+        runs = self.runs(action)
+        observation = Observation(*runs, **self._beside(action)) if last == BESIDE else Observation(*runs)
+        return Step(reward, observation, last in (END, CUT), last == CUT)
+
+    def _beside(self, action: Action) -> dict[str, Any]:
+        return {
+            "mask": action.ints != 0 if len(action.ints) else None,
+            "extras": {
+                "count": self.count,
+                "half": self.count + 0.5,
+                "text": "größer",
+                "chars": action.chars,
+                "ints": action.ints,
+                "doubles": action.doubles,
+            },
+        }
 
     def env_message(self, message: str) -> str:
         return self.message(message)
@@ -123,6 +150,27 @@ class MirrorEnvironment(_Mirror, Environment):
 
     def env_load(self, saved: bytes) -> None:
         self.load(saved)
+
+
+def shown(value: AbstractType) -> tuple[list[int], list[float], bytes]:
+    """Return the runs of an action, or of an observation with what is beside it behind them."""
+    ints, doubles, chars = value.ints.tolist(), value.doubles.tolist(), value.chars
+    if not isinstance(value, Observation):
+        return ints, doubles, chars
+    if value.mask is not None:
+        ints += value.mask.nonzero()[0].tolist()
+    for name, extra in sorted(value.extras.items()):
+        chars += f"\n{name}=".encode()
+        match extra:
+            case bytes():
+                chars += extra
+            case str():
+                chars += extra.encode()
+            case _:
+                numbers = extra if isinstance(extra, tuple) else (extra,)
+                doubles += [number for number in numbers if isinstance(number, float)]
+                chars += b" ".join(b"%d" % number for number in numbers if isinstance(number, int))
+    return ints, doubles, chars
 
 
 def total(ints: Sequence[int]) -> float:
@@ -188,9 +236,11 @@ def carry_out(
         case "RL_ENV_STEP":
             return _outcome(glue.rl_env_step(Action(ints, doubles, argument)))
         case "RL_AGENT_START":
-            return _both(Observation(), glue.rl_agent_start(Observation(ints, doubles, argument)))
+            given = Observation(ints, doubles, argument, mask=order.mask)
+            return _both(Observation(), glue.rl_agent_start(given))
         case "RL_AGENT_STEP":
-            return _both(Observation(), glue.rl_agent_step(reward, Observation(ints, doubles, argument)))
+            given = Observation(ints, doubles, argument, mask=order.mask)
+            return _both(Observation(), glue.rl_agent_step(reward, given))
         case "RL_AGENT_END":
             glue.rl_agent_end(reward)
         case "RL_AGENT_SAVE":
@@ -218,13 +268,10 @@ def _outcome(step: Step) -> Action:
 
 
 def _both(
-    observation: AbstractType, action: AbstractType, ints: Sequence[int] = (), doubles: Sequence[float] = ()
+    observation: Observation, action: Action, ints: Sequence[int] = (), doubles: Sequence[float] = ()
 ) -> Action:
-    return result(
-        [*observation.ints.tolist(), *action.ints.tolist(), *ints],
-        [*observation.doubles.tolist(), *action.doubles.tolist(), *doubles],
-        observation.chars + action.chars,
-    )
+    seen, done = shown(observation), shown(action)
+    return result([*seen[0], *done[0], *ints], [*seen[1], *done[1], *doubles], seen[2] + done[2])
 
 
 def run_mirror(role: Role, hub: str, session: str, context: Context | None = None) -> int:

@@ -22,13 +22,14 @@ from glue.conform.clients.connection import Gone
 from glue.conform.clients.harness import MAX_BODY
 from glue.conform.clients.mirror import FAIL, FAILURE
 from glue.conform.clients.player_harness import SHOWN, SPEC, TASK, PlayerHarness
-from glue.conform.forms import CHARS, DOUBLES, EMPTY, INTS, MANY, NOT_UTF_8, REWARDS, TEXTS
+from glue.conform.forms import ASKING, CHARS, DOUBLES, EMPTY, INTS, MANY, MASKED, NOT_UTF_8, REWARDS, TEXTS
 from glue.conform.messages import described
 from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier
 from glue.errors import GlueError, TaskSpecError
 from glue.taskspec import parse_task_spec
 from glue.types import CUT_OFF, Action, Observation
-from glue.wire.messages import ErrorCode, Event, Kind, Message, Role
+from glue.wire.beside import readable
+from glue.wire.messages import EXTRAS, MASK, ErrorCode, Event, Kind, Message, Role
 
 RULES: Final = Rules(PLAYERS)
 
@@ -308,6 +309,15 @@ def metrics(kit: PlayerHarness) -> None:
         kit.steps(SHOWN)
 
 
+@RULES.add(Tier.COMPLETE, "an-environment-that-does-not-wait", roles=(Role.AGENT,), capability="pace")
+def pace(kit: PlayerHarness) -> None:
+    """A step's reward may be followed by a deadline and a latency, or not."""
+    kit.episode()
+    shown = SHOWN if kit.mirror else Observation([0])
+    for scalars in ((0.0, 0.04, 0.01), (0.0,), (0.0, 0.0, 3600.0)):
+        kit.ask("STEP", *scalars, body=shown.body)
+
+
 @RULES.add(
     Tier.COMPLETE,
     "capabilities",
@@ -319,6 +329,42 @@ def metrics(kit: PlayerHarness) -> None:
 def truncate(kit: PlayerHarness) -> None:
     """An episode that is cut off has the terminal 2."""
     kit.steps(*(Action(chars=chars) for chars in (b"a?", b"a!", b"?", b"a")))
+
+
+_BESIDE: Final = "beside-the-observation"
+
+
+@RULES.add(Tier.COMPLETE, _BESIDE, roles=(Role.AGENT,), capability=MASK, mirror=True)
+def mask(kit: PlayerHarness) -> None:
+    """The bits of a mask, of which there may be none, say which values are legal."""
+    kit.steps(*MASKED, SHOWN)
+    kit.ask("START", body=MASKED[0].body)
+
+
+@RULES.add(Tier.COMPLETE, _BESIDE, roles=(Role.ENVIRONMENT,), capability=MASK, mirror=True)
+def beside(kit: PlayerHarness) -> None:
+    """A mask and extras follow the observation, with their sizes in bytes 12 to 15."""
+    kit.steps(*ASKING, SHOWN)
+
+
+@RULES.add(
+    Tier.COMPLETE,
+    _BESIDE,
+    roles=(Role.ENVIRONMENT,),
+    needs=("beside", "silent-until-welcomed"),
+    capability=MASK,
+    mirror=True,
+)
+def unconfirmed(kit: PlayerHarness) -> None:
+    """A mask or extras that the last WELCOME does not confirm are not sent."""
+    for carries in (None, frozenset[str](), {MASK}, {EXTRAS}):
+        kit.connect()
+        kit.welcome(carries=carries)
+        for asking in ASKING:
+            exchange = kit.step(asking)
+            expected = exchange.expected._replace(body=readable(exchange.expected.body, carries or set()))
+            kit.run(exchange._replace(expected=expected))
+    kit.reconnect()
 
 
 @RULES.add(Tier.COMPLETE, "bodies")

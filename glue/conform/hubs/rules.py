@@ -9,9 +9,21 @@ from glue.conform.forms import SPOILED, SPOILED_BODIES
 from glue.conform.hubs.scripted import TASK_SPEC, Scene, ScriptedPeer, did, number, reward, saw
 from glue.conform.messages import described
 from glue.conform.rules import Broken, Rules, Tier
-from glue.types import Action
+from glue.types import Action, Observation
 from glue.wire.codec import TO_HUB, encode
-from glue.wire.messages import OUTCOME, PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import (
+    BESIDE,
+    EXTRAS,
+    MASK,
+    OUTCOME,
+    PROTOCOL_VERSION,
+    THREE_ROLES,
+    ErrorCode,
+    Event,
+    Kind,
+    Message,
+    Role,
+)
 
 RULES: Final = Rules()
 
@@ -127,6 +139,40 @@ def outcome(scene: Scene) -> None:
             message.scalars in (told, told[:1]), f"{described(message)} received, and the outcome is {told}"
         )
         scene.counted(*told[1:], 1)
+
+
+@RULES.add(Tier.COMPLETE, "an-environment-that-does-not-wait")
+def pace(scene: Scene) -> None:
+    """A late agent is called again only when it has answered: with all rewards since, and what is newest."""
+    # Three steps of an agent with the capability `pace`, which answers the first after them.
+    scene.agent = scene.peer(Role.AGENT, "pace")
+    scene.init()
+    scene.start()
+    number = scene.first_step()
+    scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
+    late = scene.agent.expects(Kind.AGENT_STEP)
+    told = [value for value in late.scalars if isinstance(value, float) and value >= 0]
+    scene.agent.check(
+        late.scalars[:1] == (reward(1),) and len(late.scalars) in (1, 3) and late.body == saw(1),
+        f"{described(late)} received, and the reward is {reward(1)}",
+    )
+    if len(late.scalars) == 1:  # this hub waits for its agents
+        scene.agent.send(Kind.AGENT_STEP, seq=late.seq, body=did(1))
+        scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+        return
+    scene.agent.check(len(told) >= 2, f"{described(late)} received, with a time before now")
+    for step in (2, 3):
+        action = scene.experiment.expects(Kind.RL_STEP, scene.experiment.seq).body[len(saw(step)) :]
+        scene.experiment.ask(Kind.RL_STEP)
+        scene.environment.answers(Kind.ENV_STEP, body=action, reply=(reward(step), False), gives=saw(step))
+    scene.agent.expects_nothing()
+    scene.agent.send(Kind.AGENT_STEP, seq=late.seq, body=did(1))
+    newest = scene.agent.expects(Kind.AGENT_STEP)
+    sums = reward(2) + reward(3)
+    scene.agent.check(
+        newest.scalars[0] == sums and newest.body == saw(3),
+        f"{described(newest)} received, and the rewards since the answered observation are {sums}",
+    )
 
 
 @RULES.add(Tier.PLAYS, "what-the-calls-mean")
@@ -481,3 +527,72 @@ def _unknown(session: str) -> bytes:
     """Return a header of kind 63, which does not exist, and number 5: the array [63, session, 5]."""
     name = session.encode()
     return bytes([0x93, 63, 0xD9, len(name), *name, 5])
+
+
+@RULES.add(Tier.COMPLETE, "beside-the-observation")
+def beside(scene: Scene) -> None:
+    """A mask reaches peers that offer mask, extras those that offer extras, and never an agent."""
+    # An environment that sends both, an agent that reads masks, then one that reads none.
+    if not _carries_both(scene):
+        return
+    scene.agent = scene.peer(Role.AGENT, MASK)
+    confirmed = scene.agent.join().scalars[5:]
+    scene.agent.check(confirmed == ((MASK,),), f"{confirmed!r} was confirmed to an agent that offers mask")
+    scene.experiment.join()
+    scene.experiment.ask(Kind.RL_INIT, None)
+    scene.initialised()
+    _play_beside(scene, masked=Observation([7], mask=[True, False, True]).body)
+    scene.agent.leave()
+    scene.experiment.expects_notice(Event.LOST, Role.AGENT)
+    scene.agent = scene.peer(Role.AGENT)
+    confirmed = scene.agent.join().scalars[5:]
+    scene.agent.check(not confirmed, f"{confirmed!r} was confirmed to an agent that offers nothing")
+    scene.experiment.ask(Kind.RL_INIT, None)
+    scene.initialised()
+    _play_beside(scene, masked=Observation([7]).body)
+
+
+@RULES.add(Tier.COMPLETE, "beside-the-observation")
+def unoffered(scene: Scene) -> None:
+    """An environment that sends extras or a mask without offering them has failed."""
+    # Extras from an environment that offers masks.
+    scene.environment = scene.peer(Role.ENVIRONMENT, MASK)
+    if not scene.environment.join().scalars[5:]:
+        return  # an older hub
+    scene.agent.join()
+    scene.experiment.join()
+    scene.experiment.ask(Kind.RL_INIT, None)
+    scene.initialised()
+    scene.experiment.ask(Kind.RL_ENV_START)
+    call = scene.environment.expects_call(Kind.ENV_START)
+    scene.environment.send(Kind.ENV_START, seq=call, body=Observation([7], extras={"a": 1}).body)
+    scene.experiment.expects_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
+    scene.environment.expects_error(ErrorCode.UNSUPPORTED, call)
+
+
+def _carries_both(scene: Scene) -> bool:
+    """Let an environment join that offers all; return whether the hub carries it."""
+    scene.environment = scene.peer(Role.ENVIRONMENT, MASK, EXTRAS)
+    scene.experiment = scene.peer(Role.EXPERIMENT, MASK, EXTRAS)
+    confirmed = scene.environment.join().scalars[5:]
+    known = not confirmed or (isinstance(confirmed[0], tuple) and {*confirmed[0]} == BESIDE)
+    scene.environment.check(known, f"{confirmed!r} was confirmed to one that offers mask and extras")
+    return bool(confirmed)
+
+
+def _play_beside(scene: Scene, masked: bytes) -> None:
+    """Play a start, a step and half steps; the agent sees `masked` of observations with a mask and extras."""
+    full = Observation([7], mask=[True, False, True], extras={"coins": 3, "x": 0.5}).body
+    agent, environment, experiment = scene.agent, scene.environment, scene.experiment
+    experiment.ask(Kind.RL_START)
+    environment.answers(Kind.ENV_START, gives=full)
+    agent.answers(Kind.AGENT_START, body=masked, gives=did(0))
+    experiment.expects_reply(Kind.RL_START, body=full + did(0))
+    experiment.ask(Kind.RL_STEP)
+    environment.answers(Kind.ENV_STEP, body=did(0), reply=(reward(1), False), gives=full)
+    agent.answers(Kind.AGENT_STEP, reward(1), body=masked, gives=did(1))
+    experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=full + did(1))
+    scene.relay(Kind.RL_ENV_STEP, body=did(2), reply=(reward(2), False), gives=full)
+    experiment.ask(Kind.RL_AGENT_STEP, reward(2), body=full)
+    agent.answers(Kind.AGENT_STEP, reward(2), body=masked, gives=did(3))
+    experiment.expects_reply(Kind.RL_AGENT_STEP, body=did(3))

@@ -14,6 +14,7 @@ import platform
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 
 from glue.client.answers import ServedPlayer
 from glue.client.experiment import connect_over
@@ -23,11 +24,13 @@ from glue.errors import ConfigError, GlueError, described
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.hub.io.server import Hub
 from glue.hub.sessions import INSTANCE_SIZE
+from glue.pace import Pace
 from glue.roles import AgentLike, EnvironmentLike
 from glue.system import chance, clock
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
+_WAITING = Pace()
 _NO_PLAYERS: Mapping[Role, AgentLike | EnvironmentLike] = {}
 
 
@@ -206,6 +209,7 @@ def host(
     *,
     bind: str = DEFAULT_HUB,
     session: str = DEFAULT_SESSION,
+    pace: Pace = _WAITING,
 ) -> Iterator[Experiment]:
     """Run a hub in this process, with these players as objects; yield its experiment.
 
@@ -222,16 +226,24 @@ def host(
         environment: the environment; None to wait for one.
         bind: address at which players join, `tcp://HOST:PORT` or `ipc://PATH`; only from this machine.
         session: the session's name.
+        pace: of the environment; with a rate, the agent has to be elsewhere.
 
     Raises:
-        ConfigError: the address is in use or can be reached from other machines, or no player is given.
+        ConfigError: the address is in use or can be reached from other machines, no player is given, or the
+            agent would keep the environment waiting.
         PeerFailed: a player lacks a method of its role.
     """
     given = ((Role.AGENT, agent), (Role.ENVIRONMENT, environment))
     players = {role: player for role, player in given if player is not None}
     if not players:
         raise ConfigError("give an agent or an environment; if both join from outside, use glue.connect")
-    with Hub(HubConfig(bind=(bind,))) as hub:
+    if pace.rate and agent is not None:
+        raise ConfigError(
+            "an agent in the process of the hub would keep the environment waiting: start it "
+            "as a process of its own, or use glue.local for both players"
+        )
+    with Hub(HubConfig(bind=(bind,), pace=pace)) as hub:
         transport = InsideTransport(hub, players, session)
-        with hub.in_background(), connect_over(transport, session) as experiment:
+        late = partial(hub.sessions.num_late, session)
+        with hub.in_background(), connect_over(transport, session, num_late=late) as experiment:
             yield experiment

@@ -9,10 +9,12 @@ peers flood the hub, a session that plays has the rest.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from heapq import heappop, heappush
 from typing import Final, Protocol, TypeVar
 
 from glue.system import clock, network, threads
@@ -66,7 +68,7 @@ class Source(Watched, Protocol):
 
 
 class Loop:
-    """Serves ready descriptors, calls functions at ticks, and works through a queue.
+    """Serves ready descriptors, calls functions at ticks and at given times, and works through a queue.
 
     Only one thread takes turns at any time: the thread in `run`, or another in `alone`.
 
@@ -88,6 +90,8 @@ class Loop:
         self._watched: dict[int, Watched] = {}
         self._tickers: list[Work] = []
         self._queue: deque[Work] = deque()
+        self._due: list[tuple[float, int, Work]] = []  # a heap; the number decides between equal times
+        self._numbers = itertools.count()
         self._saved = _MAX_SAVED
         self._saved_at = 0.0
         self._expected: Source | None = None
@@ -115,6 +119,10 @@ class Loop:
     def queue(self, work: Work) -> None:
         """Call `work` once, after all work queued before, as the queue's share of the time allows."""
         self._queue.append(work)
+
+    def at(self, time: float, work: Work) -> None:
+        """Call `work` once, when `time` has come, after the messages that were received until then."""
+        heappush(self._due, (time, next(self._numbers), work))
 
     def on_tick(self, tick: Work) -> None:
         """Call `tick` at every tick; several are called in the order in which they were given."""
@@ -167,7 +175,7 @@ class Loop:
     def turn(self, seconds: float = math.inf) -> None:
         """Wait up to `seconds` until there is work, and do it.
 
-        The work is ready descriptors, one piece of the queue, and a tick.
+        The work is ready descriptors, what is due, one piece of the queue, and a tick.
         """
         events = None
         expected = self._expected
@@ -185,6 +193,8 @@ class Loop:
             wait = min(seconds, self._tick_at - now)
             if self._queue:
                 wait = min(wait, -self._saved / _SHARE)
+            if self._due:
+                wait = min(wait, self._due[0][0] - now)
             events = self._poller.poll(max(wait, 0))
             now = clock.monotonic()
         for fd, _ in events:
@@ -192,6 +202,8 @@ class Loop:
             watched = self._watched.get(fd)
             if watched is not None:
                 watched.turn(now)
+        while self._due and self._due[0][0] <= now:
+            heappop(self._due)[2](now)
         if self._queue:
             self._work_off()
         if now >= self._tick_at:

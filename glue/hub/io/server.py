@@ -76,7 +76,9 @@ class Hub(Closing):
             self.endpoints: list[str] = [address.endpoint for _, address in addresses]
             self.loop: Loop = Loop(config.heartbeat, self.log.error)
             closing.callback(self.loop.close)
-            self.sessions: Sessions = Sessions(config, self.log, clock or system_clock.monotonic, processor)
+            self.sessions: Sessions = Sessions(
+                config, self.log, clock or system_clock.monotonic, self.loop.at, processor
+            )
             self._channels = Channels(self.loop, config, addresses, self.sessions, self.log)
             closing.callback(self._channels.close)
             self._closing = closing.pop_all()

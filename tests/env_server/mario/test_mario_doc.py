@@ -88,4 +88,4 @@ def test_every_parameter_is_listed_with_its_default_and_bounds() -> None:
         shown = about.choices or (f"{about.low:.10g} to {about.high:.10g}",)
         assert (", ".join(shown), about.unit) == (bounds, unit)
         assert about.help == f"{meaning}; {default} by default"
-    assert [*known] == ["instance", "mdp", "level", "level_digest"]
+    assert [*known] == ["instance", "mdp", "level", "level_digest", "extras"]

@@ -163,6 +163,7 @@ EXPECTED = [
         "steps": episode,
         "terminal": episode != 2,
         "wall_time": 0.5 * episode,
+        "late": 0,
         "seed": PLAN.expand()[trial].seed,
         "agent": "random" if trial < 2 else "sarsa",
         "environment": "mario",
@@ -231,7 +232,7 @@ def test_remove_asks_first_and_refuses_a_run_under_way(run: Path, tmp_path: Path
 
 def test_export_has_a_row_for_each_episode_in_each_format(run: Path, tmp_path: Path) -> None:
     text = call("export", run)
-    assert text.splitlines()[0].startswith("trial,episode,return,steps,terminal,wall_time,seed,agent,")
+    assert text.splitlines()[0].startswith("trial,episode,return,steps,terminal,wall_time,late,seed,agent,")
     shown = {True: "true", False: "false"}
     for row, expected in zip(csv.DictReader(io.StringIO(text)), EXPECTED, strict=True):
         assert {key: cell for key, cell in row.items() if cell} == {

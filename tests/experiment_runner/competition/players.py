@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import Match, play
 from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
 from experiment_runner.competition.starters import Launch, Running, Starter
@@ -16,7 +17,7 @@ from experiment_runner.competition.trials import trials
 from glue.client.players import serve_agent
 from glue.errors import GlueError
 from glue.roles import Agent
-from glue.types import Action, Observation
+from glue.types import Action, Observation, Step
 
 SECRET = b"nobody knows"
 
@@ -40,6 +41,28 @@ class Walker(Agent):
         return self.act()
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self.act()
+
+
+class Watched(MinesEnvironment):
+    """Mines that says how many steps it has left until the agent answers, at most."""
+
+    left = 0
+
+    def env_step(self, action: Action) -> Step:
+        step = super().env_step(action)
+        Watched.left = 0 if step.terminal else Watched.left - 1
+        return step
+
+
+class Dawdler(Walker):
+    """Gives some answers only when the environment has made three steps without it, or the last."""
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        if self.steps < 20 and self.steps % 4 == 2:  # not at the end, when there are no more steps
+            Watched.left = 3
+            while Watched.left > 0:
+                time.sleep(0.001)
         return self.act()
 
 
@@ -84,12 +107,13 @@ def competition(
     trials: int = 1,
     env: str = "mines",
     max_steps: int = 0,
+    rate: float = 0.0,
 ) -> Competition:
     """Return a competition of one task."""
     return Competition(
         "test",
         trials,
-        (Task("walk", env, {"random_start": True} if env == "mines" else {}, 0, steps, max_steps),),
+        (Task("walk", env, {"random_start": True} if env == "mines" else {}, 0, steps, max_steps, (), rate),),
         tuple(Entrant(name, command=("nothing",)) for name in entrants),
         limits,
     )

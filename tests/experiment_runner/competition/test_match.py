@@ -10,6 +10,7 @@ import pytest
 
 from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import ASK, Forfeited, Piece, Used
+from experiment_runner.competition.records.verify import replay_trial
 from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.starters import Launch
 from experiment_runner.competition.trials import agent_seed, draw, trials
@@ -21,9 +22,11 @@ from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
 from tests.experiment_runner.competition.players import (
     SECRET,
+    Dawdler,
     InThread,
     Thread,
     Walker,
+    Watched,
     competition,
     reports_of,
 )
@@ -52,6 +55,21 @@ def test_a_task_of_steps_is_played_to_its_last_step(tmp_path: Path) -> None:
     returns = [report.result.episode_return for report in reports if isinstance(report, Recorded)]
     assert [episode.episode_return for episode in recorded] == returns
     assert {episode.ending for episode in recorded[:-1]} <= {Ending.TERMINAL}
+
+
+def test_what_a_late_agent_did_not_choose_is_recorded_as_it_was_carried_out(tmp_path: Path) -> None:
+    watched = f"{Watched.__module__}:{Watched.__name__}"
+    reports = reports_of(Dawdler(), tmp_path, steps=60, env=watched, rate=200.0)
+    assert reports[-1] == Ended(None)
+    recorded = episodes(reports, tmp_path)
+    results = [report.result for report in reports if isinstance(report, Recorded)]
+    assert sum(result.late for result in results) >= 3
+    (spec,) = trials(competition("alice", steps=60, env=watched, rate=200.0), SECRET)
+    replayed, score = replay_trial(spec, tmp_path / "record.traj")
+    assert [(steps, total) for _, steps, total in replayed] == [
+        (len(episode.steps), episode.episode_return) for episode in recorded
+    ]
+    assert score == sum(result.episode_return for result in results)
 
 
 def test_the_agents_seed_says_nothing_of_the_environments(tmp_path: Path) -> None:

@@ -89,6 +89,8 @@ class Unreliable:
         self._running = {trial_id: reports for trial_id, reports in self._running.items() if reports}
         return received
 
+    def cancel(self, trial_id: str) -> None: ...
+
     def stop(self) -> None: ...
 
     def __enter__(self) -> Self:

@@ -32,8 +32,8 @@ from experiment_runner.store.export import episode_table, write_csv
 from experiment_runner.store.store import Store
 
 with Store.open(Path(sys.argv[1])) as store:
-    ended = records.EndedEpisode(glue=type("", (), {"rl_return": lambda: 3.0, "rl_num_steps": lambda: 7}),
-                                 terminal=True, seconds=0.25)
+    glue = {"rl_return": lambda: 3.0, "rl_num_steps": lambda: 7, "late_actions": lambda: 2}
+    ended = records.EndedEpisode(glue=type("", (), glue), terminal=True, seconds=0.25)
     store.record("remote/mario/1", records.measured(1, ended))
     write_csv(episode_table(store), sys.stdout)
     print(*store.measure("remote/mario/1", "reached"), *store.measure(sys.argv[2], "reached"))
@@ -57,6 +57,6 @@ def test_measure_added_in_two_places_is_stored_exported_and_read(tmp_path: Path)
     )
     header, first, _, new, numbers = done.stdout.splitlines()
     assert header.startswith(f"trial,episode,{','.join(MEASURES)},reached,seed,")
-    assert first.startswith(f"{older},1,1.5,100,true,0.25,nan,")
-    assert new.startswith("remote/mario/1,1,3.0,7,true,0.25,0.5,")
+    assert first.startswith(f"{older},1,1.5,100,true,0.25,nan,nan,")
+    assert new.startswith("remote/mario/1,1,3.0,7,true,0.25,2,0.5,")
     assert numbers == "0.5 nan nan"

@@ -28,9 +28,9 @@ CALLS: Final = {
     "environment": "INIT START STEP CLEANUP MESSAGE SEED SAVE LOAD",
 }
 OFFERS: Final = {
-    "agent": ["seed", "save", "batch", "metrics"],
-    "environment": ["seed", "save", "truncate"],
-    "experiment": ["outcome"],
+    "agent": ["seed", "save", "batch", "metrics", "mask", "pace"],
+    "environment": ["seed", "save", "truncate", "mask", "extras"],
+    "experiment": ["outcome", "mask", "extras"],
 }
 
 
@@ -44,6 +44,12 @@ class Asked(Exception):
 
 class Failed(Exception):
     """A request failed."""
+
+
+def bits(legal: list[bool]) -> bytes:
+    """Return a mask as it crosses the wire."""
+    value = sum(1 << number for number, one in enumerate(legal) if one)
+    return value.to_bytes((len(legal) + 7) // 8, "little")
 
 
 class Client(ScriptedPeer):
@@ -62,6 +68,7 @@ class Client(ScriptedPeer):
         self.last_answer: list[bytes] = []
         self.count = self.seed = 0
         self.steps = 0
+        self.confirmed: list[str] = []
 
     # --- Bytes ----------------------------------------------------------------------------------------
 
@@ -153,7 +160,8 @@ class Client(ScriptedPeer):
         """Act on a message about the connection; return whether it was one."""
         if kind == Kind.WELCOME and not self.welcomed and seq == self.hellos:
             self.welcomed = True
-            _, resumed, self.heartbeat, _, self.max_body = scalars
+            _, resumed, self.heartbeat, _, self.max_body, *confirmed = scalars
+            self.confirmed = confirmed[0] if confirmed else []
             self.was_welcomed(bool(resumed))
         elif kind == Kind.GOODBYE:
             print(scalars[0])
@@ -238,16 +246,27 @@ class Client(ScriptedPeer):
         elif name == "START" and self.role == "environment":
             return [], self.write([self.count], [], b"")
         elif name in ("START", "STEP"):
-            ints, doubles, chars = self.runs(body)
+            ints, doubles, chars = self.shown(body)
             added, replied = [float(sum(ints))], []
             if self.role == "agent":
-                added.append(float(scalars[0] if scalars else 0.0))
+                added += map(float, scalars or [0.0])
             else:
                 replied = [doubles[0] if doubles else 0.0, self.terminal(chars[-1:])]
             if not ints and not doubles and not chars:
                 return replied, bytes(16)
-            return replied, self.write([*ints[::-1], self.count], [*doubles[::-1], *added], chars[::-1])
+            mask, extras = self.asked_for(ints, doubles, chars)
+            shown = self.write([*ints[::-1], self.count], [*doubles[::-1], *added], chars[::-1], mask, extras)
+            return replied, shown
         return [], None
+
+    def asked_for(self, ints: list[int], doubles: list[float], chars: bytes) -> tuple[bytes, bytes]:
+        """Return the mask and the extras that an action asks for, as far as they may be sent."""
+        if self.role == "agent" or chars[-1:] != b"&":
+            return b"", b""
+        mask = bits([bool(value) for value in ints])
+        extras = {"count": self.count, "half": self.count + 0.5, "text": "größer", "chars": chars}
+        packed = msgpack.packb({**extras, "ints": ints, "doubles": doubles})
+        return mask if "mask" in self.confirmed else b"", packed if "extras" in self.confirmed else b""
 
     def acting(self, body: bytes) -> tuple[list[Any], bytes]:
         """Act in all games of a batch."""
@@ -287,20 +306,44 @@ class Client(ScriptedPeer):
         return list(ints), list(doubles), body[16 + 8 * d + 4 * i :]
 
     def checked(self, body: bytes) -> tuple[int, int, bytes]:
-        """Return the numbers of ints and doubles, and the body."""
+        """Return the numbers of ints and doubles, and the body up to the end of its chars."""
         if len(body) < 16:
             raise Quit(1)
-        i, d, c, fourth = struct.unpack_from("<4I", body)
-        if fourth or len(body) != 16 + 8 * d + 4 * i + c:
+        i, d, c, m, x = struct.unpack_from("<3I2H", body)
+        if len(body) != 16 + 8 * d + 4 * i + c + m + x or ((m or x) and self.role == "environment"):
             raise Quit(1)
         return i, d, body[: 16 + 8 * d + 4 * i + c]
 
-    def write(self, ints: list[int], doubles: list[float], chars: bytes) -> bytes:
+    def shown(self, body: bytes) -> tuple[list[int], list[float], bytes]:
+        """Return the runs of an observation, and behind them what is beside it."""
+        ints, doubles, chars = self.runs(body)
+        ints += [number for number, legal in enumerate(self.mask_of(body)) if legal]
+        extras = body[len(body) - struct.unpack_from("<H", body, 14)[0] :]
+        for name, value in sorted(msgpack.unpackb(extras).items() if extras else ()):
+            line = value.encode() if isinstance(value, str) else value
+            if not isinstance(line, bytes):
+                values = line if isinstance(line, list) else [line]
+                doubles += [number for number in values if isinstance(number, float)]
+                line = " ".join(str(number) for number in values if isinstance(number, int)).encode()
+            chars += f"\n{name}=".encode() + line
+        return ints, doubles, chars
+
+    def mask_of(self, body: bytes) -> list[bool]:
+        """Return the bits of a mask."""
+        m, x = struct.unpack_from("<2H", body, 12)
+        mask = body[len(body) - x - m : len(body) - x]
+        return [bool(byte >> bit & 1) for byte in mask for bit in range(8)]
+
+    def write(
+        self, ints: list[int], doubles: list[float], chars: bytes, mask: bytes = b"", extras: bytes = b""
+    ) -> bytes:
         return (
-            struct.pack("<4I", len(ints), len(doubles), len(chars), 0)
+            struct.pack("<3I2H", len(ints), len(doubles), len(chars), len(mask), len(extras))
             + struct.pack(f"<{len(doubles)}d", *doubles)
             + struct.pack(f"<{len(ints)}I", *(number & 0xFFFFFFFF for number in ints))
             + chars
+            + mask
+            + extras
         )
 
 
@@ -313,6 +356,7 @@ class Experiment(Client):
         self.pending: list[bytes] = []
         self.answered = False
         self.notices: list[str] = []
+        self.mask = b""
 
     def was_welcomed(self, resumed: bool) -> None:
         if not resumed and self.answered:
@@ -354,6 +398,7 @@ class Experiment(Client):
                     self.send(msgpack.packb([Kind.GOODBYE, self.session, 0, "the end"]))
                     return 0
                 try:
+                    self.mask = bits(self.mask_of(body))
                     shown = self.result(*self.carry_out(verb.decode(), argument, reward, ints, doubles))
                 except Failed as failure:
                     shown = self.result([], [], f"ERROR {failure}".encode())
@@ -380,7 +425,7 @@ class Experiment(Client):
         if verb in ("RL_AGENT_MESSAGE", "RL_ENV_MESSAGE", "RL_AGENT_LOAD", "RL_ENV_LOAD"):
             body = argument
         elif verb in ("RL_ENV_STEP", "RL_AGENT_START", "RL_AGENT_STEP"):
-            body = self.write(ints, doubles, argument)
+            body = self.write(ints, doubles, argument, self.mask if "AGENT" in verb else b"")
         got, reply = self.request(Kind[verb], scalars, body)
         if verb in ("RL_NUM_STEPS", "RL_NUM_EPISODES"):
             return [], [], str(got[0]).encode()
@@ -398,9 +443,9 @@ class Experiment(Client):
     def abstract(self, reply: bytes, got: list[Any]) -> tuple[list[int], list[float], bytes]:
         all_ints, all_doubles, all_chars = [], [], b""
         while reply:
-            i, d, c, _ = struct.unpack_from("<4I", reply)
-            size = 16 + 8 * d + 4 * i + c
-            ints, doubles, chars = self.runs(reply[:size])
+            i, d, c, m, x = struct.unpack_from("<3I2H", reply)
+            size = 16 + 8 * d + 4 * i + c + m + x
+            ints, doubles, chars = self.shown(reply[:size])
             reply = reply[size:]
             all_ints += ints
             all_doubles += doubles

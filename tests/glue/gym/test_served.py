@@ -217,6 +217,7 @@ def test_options_are_keywords_of_the_environment() -> None:
     known = parameters(find(Role.ENVIRONMENT, "gymnasium:tests/Nested-v0"))
     assert {name: parameter.type for name, parameter in known.items()} == {
         "length": int, "ends": str, "shift": float, "on": bool, "max_episode_steps": int,
+        "action_mask": bool, "infos": str,
     }  # fmt: skip
     for name, options, message in (
         ("gymnasium:CartPol-v1", {}, "Did you mean"),

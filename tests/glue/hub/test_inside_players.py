@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,11 +22,15 @@ from glue.errors import ConfigError, GlueError, PeerFailed
 from glue.hub.config import HubConfig
 from glue.hub.io.inside import InsideTransport, host
 from glue.hub.io.server import Hub
+from glue.pace import Pace
+from glue.types import Action, Observation
 from glue.wire.messages import Role
 from tests.players import ScriptedAgent, ScriptedEnvironment
 
 TIMEOUT = 20.0
 """Seconds until a test gives up waiting. Generous: machines are busy."""
+
+WAITING = Pace()
 
 ARRANGEMENTS = [frozenset[Role](), {Role.ENVIRONMENT}, {Role.AGENT}, {Role.ENVIRONMENT, Role.AGENT}]
 
@@ -43,11 +48,14 @@ def serve(role: Role, player: Any, url: str) -> threading.Thread:
 
 
 @contextmanager
-def arranged(inside: Any, agent: Any, environment: Any) -> Iterator[tuple[Experiment, str]]:
+def arranged(
+    inside: Any, agent: Any, environment: Any, pace: Pace = WAITING
+) -> Iterator[tuple[Experiment, str]]:
     """Yield the experiment of a hub with some players inside and the others on sockets, and the hub's URL."""
     players = {Role.AGENT: agent, Role.ENVIRONMENT: environment}
     threads = []
-    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=60.0)).in_background() as hub:
+    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=60.0, pace=pace)
+    with Hub(config).in_background() as hub:
         url = hub.endpoints[0]
         threads += [serve(role, player, url) for role, player in players.items() if role not in inside]
         transport = InsideTransport(hub, {role: players[role] for role in inside})
@@ -121,3 +129,39 @@ def test_hosting_needs_a_player_and_a_free_address() -> None:
         url = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(ConfigError), host(ScriptedAgent(), bind=url):
             pass
+
+
+class Dawdler(ScriptedAgent):
+    """Answers agent_step when the environment has made five steps more, or the episode is over."""
+
+    def __init__(self, environment: ScriptedEnvironment) -> None:
+        super().__init__(environment.calls)
+        self._environment = environment
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        action = super().agent_step(reward, observation)
+        until = min(self._environment._steps + 5, self._environment.length)
+        while self._environment._steps < until:
+            time.sleep(0.001)
+        return action
+
+
+@pytest.mark.parametrize("inside", [frozenset[Role](), frozenset({Role.ENVIRONMENT})])
+def test_an_environment_with_a_rate_does_not_wait(inside: frozenset[Role]) -> None:
+    environment = ScriptedEnvironment(30, 1.0, [])
+    with arranged(inside, Dawdler(environment), environment, Pace(rate=500.0)) as (glue, _):
+        glue.rl_init()
+        assert glue.rl_episode()
+        assert glue.rl_return() == 30.0
+        calls = list(environment.calls)
+    given = [float(call.split()[1]) for call in calls if call.startswith(("agent_step", "agent_end"))]
+    assert sum(given) == 30.0  # no reward is lost
+    assert 2 <= len(given) <= 8
+
+
+def test_an_agent_in_the_process_of_the_hub_cannot_be_late() -> None:
+    with (
+        pytest.raises(ConfigError, match="would keep the environment waiting"),
+        host(ScriptedAgent(), bind="tcp://127.0.0.1:*", pace=Pace(rate=10.0)),
+    ):
+        pass

@@ -70,7 +70,8 @@ class Rig:
     """
 
     def __init__(self, config: HubConfig = CONFIG, clock: Callable[[], float] | None = None) -> None:
-        self.sessions = Sessions(config, self._log, clock)
+        self.due: list[tuple[float, Callable[[float], None]]] = []
+        self.sessions = Sessions(config, self._log, clock, lambda time, work: self.due.append((time, work)))
         self.channels: dict[str, Named] = {}
         self.binds: dict[str, Bind] = {}
         self.inbox: dict[str, list[Message]] = {}
@@ -168,6 +169,16 @@ class Rig:
         self.sessions.tick(self.now)
         for channel, messages in self.inbox.items():
             self.inbox[channel] = [message for message in messages if message.kind is not Kind.HEARTBEAT]
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass, without a tick; do what is due meanwhile, in its order."""
+        until = self.now + seconds
+        while self.due and min(time for time, _ in self.due) <= until:
+            first = min(self.due, key=lambda one: one[0])
+            self.due.remove(first)
+            self.now = first[0]
+            first[1](self.now)
+        self.now = until
 
     def lose(self, channel: str) -> None:
         """Break the connection of a channel, and wait until the hub gives it up."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,18 @@ import pytest
 
 from glue.client.experiment import connect
 from glue.conform.hubs.rules import RULES
+from glue.conform.hubs.scripted import reward
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.channel import Channel
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.hub.session import Peer
 from glue.hub.sessions import Sessions
+from glue.pace import Pace
 from glue.testing import ContractBroken, HubRule, check_hub
-from glue.types import Action
-from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
+from glue.types import Action, has_beside
+from glue.wire.beside import readable
+from glue.wire.messages import CALLS, EXTRAS, MASK, ErrorCode, Event, Kind, Message, Role, Value
 
 WAIT = 60.0
 """Seconds to wait; generous, as machines are busy. Only hubs that say nothing use them up."""
@@ -51,8 +55,8 @@ def test_hub_that_is_not_there_is_no_hub() -> None:
 class Spoiled(Sessions):
     """Our sessions, with changes to outgoing and incoming messages."""
 
-    def __init__(self, config: HubConfig, log: Callable[[str], None], clock: Callable[[], float]) -> None:
-        super().__init__(config, log, clock)
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
         self.seen: dict[Any, Any] = {}
 
     def send(self, channel: Channel, message: Message) -> bool:
@@ -72,6 +76,38 @@ class Spoiled(Sessions):
         return [(channel, message)]
 
     def heard(self, channel: Channel, message: Message) -> list[Message]:
+        return [message]
+
+
+class ShowsTheAgentExtras(Spoiled):
+    """Gives the agent the environment's last observation, without its mask."""
+
+    kept = frozenset({EXTRAS})
+
+    def heard(self, channel: Channel, message: Message) -> list[Message]:
+        if message.kind is Kind.ENV_STEP:
+            self.seen["last"] = message.body
+        return [message]
+
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+        if message.kind is Kind.AGENT_STEP and has_beside(self.seen.get("last", bytes(16))):
+            message = message._replace(body=readable(self.seen["last"], self.kept))
+        return [(channel, message)]
+
+
+class ShowsEveryAgentMasks(ShowsTheAgentExtras):
+    """Gives the agent the environment's last observation, without its extras."""
+
+    kept = frozenset({MASK})
+
+
+class LeavesOutWhatWasNotOffered(Spoiled):
+    """Passes on the observations of an environment as if it had sent only what it has offered."""
+
+    def heard(self, channel: Channel, message: Message) -> list[Message]:
+        offered = self.capabilities(message.session, Role.ENVIRONMENT)
+        if message.kind is Kind.ENV_START and offered is not None:
+            message = message._replace(body=readable(message.body, offered))
         return [message]
 
 
@@ -137,6 +173,18 @@ class CountsAHelloForAnAnswer(Spoiled):
             version, resumed, *rest = message.scalars
             message = message._replace(scalars=(version, resumed or peer in self.seen, *rest))
             self.seen[peer] = True
+        return [(channel, message)]
+
+
+class DoesNotWait(Spoiled):
+    def __init__(self, config: HubConfig, *more: Any) -> None:
+        super().__init__(replace(config, pace=Pace(rate=50.0)), *more)
+
+
+class ForgetsTheRewardsOfLateAgents(DoesNotWait):
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+        if message.kind is Kind.AGENT_STEP and message.scalars[0] == reward(2) + reward(3):
+            message = message._replace(scalars=(reward(3), *message.scalars[1:]))
         return [(channel, message)]
 
 
@@ -233,6 +281,7 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
         HubRule.OUTCOME,
         saying(lambda m, seen: scalars(2, 0)(m, seen) if m.scalars[1:] else m, Kind.RL_EPISODE),
     ),
+    "forgets the rewards of late agents": (HubRule.PACE, ForgetsTheRewardsOfLateAgents),
     "acts before any action": (
         HubRule.LAST_ACTION,
         saying(lambda m, seen: m._replace(body=FIRST_ACTION) if len(m.body) == 16 else m, Kind.ENV_STEP),
@@ -259,6 +308,17 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
     "counts a hello for an answer": (HubRule.WELCOME_LOST, CountsAHelloForAnAnswer),
     "sends off with an error": (HubRule.GOODBYE, saying(instead(Kind.ERROR, "full", ""), Kind.GOODBYE)),
     "does not say peer-lost": (HubRule.LOST, without(ErrorCode.PEER_LOST)),
+    "shows the agent extras": (HubRule.BESIDE, ShowsTheAgentExtras),
+    "shows every agent masks": (HubRule.BESIDE, ShowsEveryAgentMasks),
+    "keeps extras to itself": (
+        HubRule.BESIDE,
+        saying(lambda m, seen: m._replace(body=readable(m.body, {MASK})), Kind.RL_ENV_STEP),
+    ),
+    "confirms what was not offered": (
+        HubRule.BESIDE,
+        saying(lambda m, seen: scalars(5, (EXTRAS, MASK))(m, seen) if m.scalars[5:] else m, Kind.WELCOME),
+    ),
+    "leaves out what was not offered": (HubRule.UNOFFERED, LeavesOutWhatWasNotOffered),
     "initialises no newcomer": (HubRule.REPLACED, saying(start_of_a_newcomer, Kind.NOTICE, Kind.ENV_INIT)),
 }
 
@@ -285,6 +345,12 @@ def test_hub_that_says_nothing_is_found_when_the_wait_is_over(
     only = [each for each in RULES if each.text == rule]
     monkeypatch.setattr("glue.conform.hubs.judge.RULES", only)
     assert caught(monkeypatch, broken, wait=0.5).rule is rule
+
+
+def test_a_hub_that_does_not_wait_keeps_every_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("glue.hub.io.server.Sessions", DoesNotWait)
+    with hub() as url:
+        check_hub(url, wait=WAIT)
 
 
 def test_every_rule_is_broken_by_a_hub() -> None:

@@ -15,7 +15,8 @@ import pytest
 
 import glue.testing
 from glue.errors import RemoteProtocolError
-from glue.types import CUT_OFF, Observation, body_size
+from glue.extras import Extra, pack_extras, unpack_extras
+from glue.types import CUT_OFF, Observation, beside_sizes, body_size
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import CALLS, CONTROL, MAX_BODY, MAX_HEADER, OBSERVING, Body, Kind, Message, Value
@@ -23,7 +24,7 @@ from tests.glue.wire.examples import EXAMPLES
 
 FILE: Final = Path(glue.testing.__file__).with_name("vectors.json")
 VECTORS: Final = json.loads(FILE.read_text(encoding="utf-8"))
-READ: Final = ("messages", "observe", "truncate", "outcome", "accepted")
+READ: Final = ("messages", "observe", "truncate", "outcome", "beside", "pace", "accepted")
 """Parts of the file whose entries are messages; only `messages` is for every client."""
 
 Document = dict[str, Any]
@@ -66,7 +67,7 @@ def document(name: str, sender: str, receiver: str, message: Message, frames: Se
     }
 
 
-def tagged(value: Value) -> Document:
+def tagged(value: Value | Extra) -> Document:
     """Return a scalar with its type; ints are in decimal and floats by their bits, which JSON would lose."""
     if value is None:
         return {"nil": True}
@@ -94,7 +95,7 @@ def body_document(kind: Body, body: bytes) -> Document | None:
         return {"text": body.decode()}
     if kind is Body.BLOB:
         return {"bytes": body.hex()}
-    parts = []
+    parts: list[Document] = []
     while body:
         size = body_size(body)
         value = Observation.from_body(body[:size])
@@ -105,6 +106,11 @@ def body_document(kind: Body, body: bytes) -> Document | None:
                 "chars": value.chars.hex(),
             }
         )
+        mask, extras = beside_sizes(value.body)
+        if mask:
+            parts[-1]["mask"] = value.packed_mask.hex()
+        if extras:
+            parts[-1]["extras"] = value.body[-extras:].hex()
         body = body[size:]
     return {"abstract": parts}
 
@@ -136,6 +142,16 @@ def test_every_kind_is_there_in_every_direction() -> None:
     assert {Kind[name] for name, _ in there} == set(Kind) - OBSERVING.keys()
     assert {entry["kind"] for entry in VECTORS["observe"]} == {kind.name for kind in OBSERVING}
     assert [entry["scalars"][0] for entry in VECTORS["outcome"]] == [tagged(True), tagged(CUT_OFF)]
+
+
+def test_extras_are_read_and_refused_as_said() -> None:
+    for entry in VECTORS["extras"]["accepted"]:
+        found = unpack_extras(bytes.fromhex(entry["hex"]))
+        assert {name: tagged(value) for name, value in found.items()} == entry["values"]
+        assert pack_extras(found).hex() == entry["hex"] or "width" in entry["name"]
+    for entry in VECTORS["extras"]["refused"]:
+        with pytest.raises(RemoteProtocolError):
+            unpack_extras(bytes.fromhex(entry["hex"]))
 
 
 def test_everything_to_be_refused_is_refused() -> None:

@@ -15,9 +15,10 @@ from glue.engine.local import local
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.hub.io.channels import MAX_UNSENT, MAX_WITHOUT_SESSION
 from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN
-from glue.types import AbstractType, Action, Observation, body_size
+from glue.types import AbstractType, Action, Observation, beside_sizes, body_size
 from glue.wire.codec import decode, encode
 from glue.wire.messages import (
+    BESIDE,
     CALLS,
     CONTROL,
     MAX_BODY,
@@ -99,7 +100,11 @@ def comments_on(body: bytes) -> list[str]:
         for count, name in ((ints, "int"), (doubles, "double"), (chars, "char"))
     ]
     text = [f'"{value.chars.decode()}"'.replace("\n", "\\n")] if chars else []
-    return [*counts, "zero", *map(repr, value.doubles.tolist()), *map(str, value.ints.tolist()), *text]
+    mask, extras = beside_sizes(body)
+    sizes = [f"{mask} byte{'' if mask == 1 else 's'} of mask", f"{extras} bytes of extras"]
+    numbers = [*map(repr, value.doubles.tolist()), *map(str, value.ints.tolist())]
+    beside = ["mask"] * bool(mask) + ["extras"] * bool(extras)
+    return [*counts, *(sizes if mask or extras else ["zero"]), *numbers, *text, *beside]
 
 
 def test_every_kind_has_an_example_in_every_direction() -> None:
@@ -119,13 +124,16 @@ def test_every_kind_has_an_example_in_every_direction() -> None:
     assert {(e.kind, e.sender, e.receiver) for e in EXAMPLES} == expected
 
 
-def test_the_example_of_a_body_is_right() -> None:
-    (_, _, block), *_ = blocks(TEXT, "body")
-    lines = [line.partition(";") for line in block.splitlines()]
-    body = b"".join(bytes.fromhex(data) for data, _, _ in lines)
-
-    assert body == Observation([11, -2], [0.5], b"abc").body
-    assert [comment.strip() for _, _, comment in lines] == comments_on(body)
+def test_the_examples_of_bodies_are_right() -> None:
+    (_, _, plain), (_, _, beside), *_ = blocks(TEXT, "body")
+    mask = [False, True, False, True, False, True]
+    for block, value in (
+        (plain, Observation([11, -2], [0.5], b"abc")),
+        (beside, Observation([11], mask=mask, extras={"coins": 7, "walk.x": 0.5})),
+    ):
+        lines = [line.partition(";") for line in block.splitlines()]
+        assert b"".join(bytes.fromhex(data) for data, _, _ in lines) == value.body
+        assert [comment.strip() for _, _, comment in lines if comment] == comments_on(value.body)
 
 
 def test_code_in_the_text_is_that_of_the_examples() -> None:
@@ -154,7 +162,11 @@ def scalars_cell(shape: Shape) -> str:
     cells = [
         ", ".join(f"`{scalar.name}` {type_cell(scalar)}" for scalar in s) for s in (shape.scalars, shape.more)
     ]
-    return f"; with [`{OUTCOME}`](#capabilities) also ".join(filter(None, cells)) or NOTHING
+    with_what = "[`mask` or `extras`](#beside-the-observation)"
+    if shape.more == CONTROL[Kind.HELLO].scalars[-1:]:
+        return f"; with {with_what} also ".join(cells)
+    capability = "pace" if shape is CALLS[Kind.AGENT_STEP].request else OUTCOME
+    return f"; with [`{capability}`](#capabilities) also ".join(filter(None, cells)) or NOTHING
 
 
 def type_cell(scalar: Scalar) -> str:
@@ -207,7 +219,8 @@ def test_tables_of_scalars_of_the_greeting_are_complete() -> None:
     hello, welcome = tables("scalar", "meaning")
 
     for lines, kind in ((hello, Kind.HELLO), (welcome, Kind.WELCOME)):
-        assert [row[0].strip("`") for row in lines] == [scalar.name for scalar in CONTROL[kind].scalars]
+        scalars = CONTROL[kind].scalars + CONTROL[kind].more
+        assert [row[0].strip("`") for row in lines] == [scalar.name for scalar in scalars]
 
 
 def test_table_of_errors_is_that_of_the_program() -> None:
@@ -221,7 +234,7 @@ def test_table_of_capabilities_is_that_of_the_program() -> None:
 
     documented = {(row[0].strip("`"), name) for row in rows for name in row[1].split(", ")}
     with_calls = {(c.capability, k.name) for k, c in CALLS.items() if c.capability is not None}
-    others = (ONE_RUN, OUTCOME, "truncate", "batch")
+    others = (ONE_RUN, OUTCOME, "truncate", "batch", "pace", *BESIDE)
     assert documented == with_calls | {(name, NOTHING) for name in others}
 
 

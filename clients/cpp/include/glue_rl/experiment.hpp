@@ -40,7 +40,7 @@ class Experiment {
 
   /// Joins a session as its experiment, once a hub is there.
   explicit Experiment(const Options& options, Notices notices = nullptr)
-      : notices_(std::move(notices)), link_("experiment", options, {}) {
+      : notices_(std::move(notices)), link_("experiment", options, {"mask", "extras"}) {
     while (!link_.welcomed()) receive();
   }
 
@@ -103,18 +103,23 @@ class Experiment {
 
   /// RL_env_step: executes an action.
   Environment::Step env_step(const Action& action) {
-    const auto reply = ask(begin(0, detail::kRlEnvStep), &action);
+    std::string body;
+    action.write(body);
+    begin(0, detail::kRlEnvStep);
+    const auto reply = ask(std::move(body));
     return {reply.floats[0], reply.truth, Observation(reply.first), reply.cut_off};
   }
 
   /// RL_agent_start: the first observation of an episode for the agent, and its action.
   Action agent_start(const Observation& observation) {
-    return Action(ask(begin(0, detail::kRlAgentStart), &observation).first);
+    begin(0, detail::kRlAgentStart);
+    return Action(ask(shown(observation)).first);
   }
 
   /// RL_agent_step: a reward and an observation for the agent, and its action.
   Action agent_step(double reward, const Observation& observation) {
-    return Action(ask(begin(1, detail::kRlAgentStep).real(reward), &observation).first);
+    begin(1, detail::kRlAgentStep).real(reward);
+    return Action(ask(shown(observation)).first);
   }
 
   /// RL_agent_end: the last reward for the agent.
@@ -146,28 +151,31 @@ class Experiment {
   void env_load(std::string_view data) { with_bytes(detail::kRlEnvLoad, data); }
 
  private:
-  detail::HeaderWriter& begin(std::size_t scalars, detail::Kind kind) {
+  detail::Packer& begin(std::size_t scalars, detail::Kind kind) {
     kind_ = kind;
     return header_.begin(scalars, kind, link_.session(), seq_ + 1);
   }
 
   std::string with_bytes(detail::Kind kind, std::string_view bytes) {
     begin(0, kind);
-    link_.check(bytes.size());
-    detail::Frames request;
-    request.body = bytes;
-    request.has_body = true;
-    return std::string(ask(std::move(request)).body);
+    return std::string(ask(std::string(bytes)).body);
   }
 
-  detail::Message ask(const detail::HeaderWriter&, const AbstractType* body = nullptr) {
+  /// Returns what the agent is to be shown of an observation, as it crosses the wire.
+  std::string shown(const Observation& observation) const {
+    std::string body;
+    observation.write(body);
+    link_.cut(body, false);
+    return body;
+  }
+
+  detail::Message ask(const detail::Packer&) { return ask(detail::Frames()); }
+
+  detail::Message ask(std::string body) {
+    link_.check(body.size());
     detail::Frames request;
-    if (body != nullptr) {
-      link_.check(body->body_size());
-      request.body.resize(body->body_size());
-      request.has_body = true;
-      body->write(request.body.data());
-    }
+    request.body = std::move(body);
+    request.has_body = true;
     return ask(std::move(request));
   }
 
@@ -217,7 +225,7 @@ class Experiment {
   Notices notices_;
   detail::Link link_;
   detail::Frames frames_;
-  detail::HeaderWriter header_;
+  detail::Packer header_;
   detail::Kind kind_ = detail::kRlInit;
   std::uint64_t seq_ = 0;
   bool answered_ = false;  // whether the hub has answered since it last said that it did not know us

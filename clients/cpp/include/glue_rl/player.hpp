@@ -18,11 +18,10 @@ namespace detail {
 /// The answer to a call, as it is being written to `frames`.
 class Answer {
  public:
-  Answer(Frames& frames, const Message& call, std::string_view session)
-      : frames_(frames), call_(call), session_(session) {
+  Answer(Frames& frames, const Message& call, const Link& link) : frames_(frames), call_(call), link_(link) {
     frames.body.clear();
     frames.has_body = false;
-    header_.begin(0, call.kind, session, call.seq);
+    header_.begin(0, call.kind, link.session(), call.seq);
   }
 
   void text(std::string_view bytes) {
@@ -30,20 +29,25 @@ class Answer {
     frames_.has_body = true;
   }
 
-  void abstract(const AbstractType& value) {
-    frames_.body.resize(value.body_size());
+  void action(const AbstractType& value) {
+    value.write(frames_.body);
     frames_.has_body = true;
-    value.write(frames_.body.data());
+  }
+
+  void observation(const Observation& value) {
+    value.write(frames_.body);
+    frames_.has_body = true;
+    link_.cut(frames_.body, true);
   }
 
   void step(const Environment::Step& step) {
-    header_.begin(2, call_.kind, session_, call_.seq).real(step.reward);
+    header_.begin(2, call_.kind, link_.session(), call_.seq).real(step.reward);
     if (step.truncated) {
       header_.integer(kCutOff);
     } else {
       header_.truth(step.terminal);
     }
-    abstract(step.observation);
+    observation(step.observation);
   }
 
   void finish() { frames_.header = header_.bytes(); }
@@ -51,8 +55,8 @@ class Answer {
  private:
   Frames& frames_;
   const Message& call_;
-  std::string_view session_;
-  HeaderWriter header_;
+  const Link& link_;
+  Packer header_;
 };
 
 inline bool call_seedable(Seedable* player, const Message& message) {
@@ -77,7 +81,7 @@ inline bool call_metrics(Measured* agent, Answer& answer) {
     packed.chars += (packed.doubles.empty() ? "" : "\n") + name;
     packed.doubles.push_back(value);
   }
-  answer.abstract(packed);
+  answer.action(packed);
   return true;
 }
 
@@ -85,8 +89,8 @@ inline bool call_metrics(Measured* agent, Answer& answer) {
 inline bool carry_out(Agent& agent, const Message& message, Answer& answer) {
   switch (message.kind) {
     case kAgentInit: agent.init(message.body); return true;
-    case kAgentStart: answer.abstract(agent.start(message.first)); return true;
-    case kAgentStep: answer.abstract(agent.step(message.floats[0], message.first)); return true;
+    case kAgentStart: answer.action(agent.start(message.first)); return true;
+    case kAgentStep: answer.action(agent.step(message.floats[0], message.first)); return true;
     case kAgentEnd: agent.end(message.floats[0]); return true;
     case kAgentCleanup: agent.cleanup(); return true;
     case kAgentMessage: answer.text(agent.message(message.body)); return true;
@@ -102,7 +106,7 @@ inline bool carry_out(Agent& agent, const Message& message, Answer& answer) {
 inline bool carry_out(Environment& environment, const Message& message, Answer& answer) {
   switch (message.kind) {
     case kEnvInit: answer.text(environment.init()); return true;
-    case kEnvStart: answer.abstract(environment.start()); return true;
+    case kEnvStart: answer.observation(environment.start()); return true;
     case kEnvStep: answer.step(environment.step(message.first)); return true;
     case kEnvCleanup: environment.cleanup(); return true;
     case kEnvMessage: answer.text(environment.message(message.body)); return true;
@@ -140,7 +144,8 @@ class Player {
     if (dynamic_cast<Saveable*>(&player) != nullptr) capabilities.emplace_back("save");
     if (dynamic_cast<Seedable*>(&player) != nullptr) capabilities.emplace_back("seed");
     if (dynamic_cast<Measured*>(&player) != nullptr) capabilities.emplace_back("metrics");
-    if (std::is_same_v<Role, Environment>) capabilities.emplace_back("truncate");
+    capabilities.emplace_back("mask");
+    if (std::is_same_v<Role, Environment>) capabilities.insert(capabilities.end(), {"extras", "truncate"});
     return capabilities;
   }
 
@@ -165,7 +170,7 @@ class Player {
   /// Carries a call out; what is to be sent is the last answer then.
   void answer(const Message& message) {
     try {
-      Answer answer(last_answer_, message, link_.session());
+      Answer answer(last_answer_, message, link_);
       if (carry_out(player_, message, answer)) {
         link_.check(last_answer_.body.size());
         answer.finish();

@@ -10,6 +10,8 @@ public abstract sealed class AbstractType permits Observation, Action {
     private static final double[] NO_DOUBLES = {};
     private static final byte[] NO_CHARS = {};
     private static final int HEAD = 16;
+    /** Where the sizes of mask and extras are, of 16 bits each. */
+    static final int SIZES_BESIDE = 12;
 
     private final int[] ints;
     private final double[] doubles;
@@ -21,7 +23,7 @@ public abstract sealed class AbstractType permits Observation, Action {
         this.chars = chars == null ? NO_CHARS : chars;
     }
 
-    /** Takes the abstract type that the rest of {@code body} begins with; its size has been checked. */
+    /** Takes the three runs that the rest of {@code body} begins with; their sizes have been checked. */
     AbstractType(ByteBuffer body) {
         ints = new int[body.getInt()];
         doubles = new double[body.getInt()];
@@ -80,19 +82,21 @@ public abstract sealed class AbstractType permits Observation, Action {
     }
 
     /** Returns this as it crosses the wire. */
-    byte[] body() {
-        long size = HEAD + 8L * doubles.length + 4L * ints.length + chars.length;
+    abstract byte[] body();
+
+    final byte[] body(byte[] mask, byte[] extras) {
+        long size = HEAD + 8L * doubles.length + 4L * ints.length + chars.length + mask.length + extras.length;
         ByteBuffer body = ByteBuffer.allocate(Math.toIntExact(size)).order(ByteOrder.LITTLE_ENDIAN);
-        body.putInt(ints.length).putInt(doubles.length).putInt(chars.length).putInt(0);
+        body.putInt(ints.length).putInt(doubles.length).putInt(chars.length).putInt(mask.length | extras.length << 16);
         body.asDoubleBuffer().put(doubles);
         body.position(body.position() + 8 * doubles.length);
         body.asIntBuffer().put(ints);
         body.position(body.position() + 4 * ints.length);
-        return body.put(chars).array();
+        return body.put(chars).put(mask).put(extras).array();
     }
 
     /** Returns where the abstract type that begins at {@code start} ends. */
-    static int endOf(byte[] body, int start) {
+    static int endOf(byte[] body, int start, boolean withMask, boolean withExtras) {
         if (body.length - start < HEAD) {
             throw new GlueException.Protocol(
                     "an observation or action has 16 bytes or more, not " + (body.length - start));
@@ -101,10 +105,14 @@ public abstract sealed class AbstractType permits Observation, Action {
         long ints = Integer.toUnsignedLong(counts.getInt());
         long doubles = Integer.toUnsignedLong(counts.getInt());
         long chars = Integer.toUnsignedLong(counts.getInt());
-        if (counts.getInt() != 0) {
-            throw new GlueException.Protocol("bytes 12 to 15 of an observation or action are zero");
+        int beside = counts.getInt();
+        if ((beside & 0xffff) != 0 && !withMask) {
+            throw new GlueException.Protocol("an action has a mask");
         }
-        long size = HEAD + 8 * doubles + 4 * ints + chars;
+        if (beside >>> 16 != 0 && !withExtras) {
+            throw new GlueException.Protocol("an agent was sent extras, which are not for it");
+        }
+        long size = HEAD + 8 * doubles + 4 * ints + chars + (beside & 0xffff) + (beside >>> 16);
         if (size > body.length - start) {
             throw new GlueException.Protocol("an observation or action has %d bytes, and by its counts %d"
                     .formatted(body.length - start, size));

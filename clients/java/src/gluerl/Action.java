@@ -4,6 +4,8 @@ import java.nio.ByteBuffer;
 
 /** An action: what an agent does. */
 public final class Action extends AbstractType {
+    private static final byte[] NOTHING = {};
+
     /**
      * Makes an action of ints alone.
      *
@@ -26,5 +28,10 @@ public final class Action extends AbstractType {
 
     Action(ByteBuffer body) {
         super(body);
+    }
+
+    @Override
+    byte[] body() {
+        return body(NOTHING, NOTHING);
     }
 }

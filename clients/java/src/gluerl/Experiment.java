@@ -51,7 +51,7 @@ public final class Experiment implements AutoCloseable {
 
     Experiment(Options options, Notices notices) {
         this.notices = notices;
-        link = new Link("experiment", options);
+        link = new Link("experiment", options, "mask", "extras");
         try {
             while (!link.isWelcomed()) {
                 receive();
@@ -290,8 +290,7 @@ public final class Experiment implements AutoCloseable {
 
     /** Returns the reply to a request, however often the network fails. */
     private Message ask(Kind kind, byte[] body, Object... scalars) {
-        byte[][] request = Message.encode(kind, link.session(), seq + 1, body, scalars);
-        link.check(request);
+        byte[][] request = link.encode(kind, seq + 1, body, scalars);
         seq += 1;
         if (link.isWelcomed()) {
             link.send(request);

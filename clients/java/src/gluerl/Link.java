@@ -2,6 +2,7 @@ package gluerl;
 
 import java.nio.charset.StandardCharsets;
 import java.security.SecureRandom;
+import java.util.List;
 
 /** A peer's place in a session: greetings, heartbeats, and reconnecting after a break. */
 final class Link {
@@ -18,6 +19,8 @@ final class Link {
     private long heartbeat = DEFAULT_HEARTBEAT_MS;
     private long timeout = DEFAULT_TIMEOUT_MS;
     private int maxBody = Message.MAX_BODY;
+    private boolean takesMasks; // the hub; an older one does not
+    private boolean takesExtras;
     private int greeted; // the connection that was greeted last; also the seq of that HELLO
     private boolean welcomed; // over that connection
     private boolean waiting; // for a hub, and has said so
@@ -49,15 +52,21 @@ final class Link {
         options.log().accept(line);
     }
 
-    /** Checks that the hub accepts a body of this size. */
-    void check(byte[][] frames) {
-        if (frames.length > 1 && frames[1].length > maxBody) {
+    /** Returns the frames of a call's answer, or of a request, with as much beside an observation as the hub takes. */
+    byte[][] encode(Kind kind, long seq, byte[] body, Object... scalars) {
+        byte[] taken = switch (kind.bodyToHub) {
+            case OBSERVATION -> Observation.cut(body, takesMasks, takesExtras);
+            case SEEN -> Observation.cut(body, takesMasks, false);
+            default -> body;
+        };
+        if (taken != null && taken.length > maxBody) {
             throw new IllegalArgumentException(
-                    "a body has %d bytes, and the hub takes %d".formatted(frames[1].length, maxBody));
+                    "a body has %d bytes, and the hub takes %d".formatted(taken.length, maxBody));
         }
+        return Message.encode(kind, session(), seq, taken, scalars);
     }
 
-    /** Sends what {@link Message#encode} made. */
+    /** Sends what {@link #encode} made. */
     void send(byte[][] frames) {
         dealer.send(frames);
     }
@@ -150,6 +159,9 @@ final class Link {
         heartbeat = (long) (1000 * Math.min(Math.max(message.real(2), 0.01), 60));
         timeout = Math.max((long) (1000 * message.real(3)), heartbeat);
         maxBody = (int) Math.min(message.integer(4), Message.MAX_BODY);
+        List<String> capabilities = message.scalars().length > 5 ? List.of((String[]) message.scalars()[5]) : List.of();
+        takesMasks = capabilities.contains("mask");
+        takesExtras = capabilities.contains("extras");
         if (waiting) {
             log("the hub at " + options.hub() + " is there");
         }
@@ -179,13 +191,7 @@ final class Link {
     }
 
     private static void checkSession(String session) {
-        boolean printable = session.codePoints().noneMatch(c -> switch (Character.getType(c)) {
-            case Character.CONTROL, Character.FORMAT, Character.SURROGATE, Character.PRIVATE_USE, Character.UNASSIGNED,
-                    Character.LINE_SEPARATOR, Character.PARAGRAPH_SEPARATOR -> true;
-            default -> false;
-        });
-        int length = session.codePointCount(0, session.length());
-        if (!printable || length < 1 || length > 255) {
+        if (!Message.isName(session, Message.MAX_SESSION)) {
             throw new GlueException.Config(
                     "the name of a session has 1 to 255 printable characters, not \"%s\"".formatted(session));
         }

@@ -19,13 +19,18 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
     /** Instead of a Boolean, that an episode was cut off in a state that is not terminal. */
     static final Long CUT_OFF = 2L;
 
-    private static final int MAX_SESSION = 255;
+    private static final int MAX_HEADER = 4096;
+    static final int MAX_SESSION = 255;
     private static final Object[] NO_SCALARS = {};
 
     /** Returns the message that frames stand for; a {@link GlueException.Protocol} says what is wrong with them. */
     static Message decode(byte[][] frames) {
-        HeaderReader reader = new HeaderReader(frames[0]);
-        reader.array();
+        if (frames[0].length > MAX_HEADER) {
+            throw new GlueException.Protocol(
+                    "a header has at most %d bytes, not %d".formatted(MAX_HEADER, frames[0].length));
+        }
+        Unpacker reader = new Unpacker(frames[0], "a header");
+        int items = reader.array();
         long code = reader.integer();
         String session = reader.text();
         long seq = reader.integer();
@@ -38,6 +43,9 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
             return new Message(null, code, session, seq, NO_SCALARS, body);
         }
         int count = kind.fromHub.length();
+        if (kind.fromHub.endsWith("T") && items < 3 + count) {
+            count--;
+        }
         Object[] scalars = count == 0 ? NO_SCALARS : new Object[count];
         for (int i = 0; i < count; i++) {
             scalars[i] = switch (kind.fromHub.charAt(i)) {
@@ -45,6 +53,7 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
                 case 'f' -> reader.real();
                 case 'b' -> reader.flag() != 0;
                 case 'e' -> endOf(reader.flag());
+                case 'T' -> texts(reader);
                 default -> reader.text();
             };
         }
@@ -55,7 +64,7 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
 
     /** Returns the frames of a message to the hub. */
     static byte[][] encode(Kind kind, String session, long seq, byte[] body, Object... scalars) {
-        HeaderWriter header = new HeaderWriter().array(3 + scalars.length);
+        Packer header = new Packer().array(3 + scalars.length);
         header.integer(kind.code).text(session).integer(seq);
         for (int i = 0; i < scalars.length; i++) {
             Object value = scalars[i];
@@ -97,6 +106,16 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
         return body == null ? new byte[][] {header.finish()} : new byte[][] {header.finish(), body};
     }
 
+    /** Returns whether a text has 1 to {@code most} characters, all printable. */
+    static boolean isName(String text, int most) {
+        int length = text.codePointCount(0, text.length());
+        return length >= 1 && length <= most && text.codePoints().noneMatch(c -> switch (Character.getType(c)) {
+            case Character.CONTROL, Character.FORMAT, Character.SURROGATE, Character.PRIVATE_USE, Character.UNASSIGNED,
+                    Character.LINE_SEPARATOR, Character.PARAGRAPH_SEPARATOR -> true;
+            default -> false;
+        });
+    }
+
     static byte[] utf8(String text) {
         return text.getBytes(StandardCharsets.UTF_8);
     }
@@ -130,6 +149,14 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
         return (String) scalars[scalar];
     }
 
+    private static String[] texts(Unpacker reader) {
+        String[] texts = new String[reader.array()];
+        for (int i = 0; i < texts.length; i++) {
+            texts[i] = reader.text();
+        }
+        return texts;
+    }
+
     private static Object endOf(long flag) {
         return flag == CUT_OFF ? CUT_OFF : (Object) (flag != 0);
     }
@@ -139,14 +166,15 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
             throw new GlueException.Protocol(
                     kind + (body == null ? " has a body, and came without one" : " has no body, and came with one"));
         }
-        if (kind.bodyFromHub == Kind.Body.ABSTRACT || kind.bodyFromHub == Kind.Body.BOTH) {
-            int end = AbstractType.endOf(body, 0);
-            if (kind.bodyFromHub == Kind.Body.BOTH) {
-                end = AbstractType.endOf(body, end);
-            }
-            if (end != body.length) {
-                throw new GlueException.Protocol("the body of " + kind + " is longer than its counts say");
-            }
+        int end = switch (kind.bodyFromHub) {
+            case ACTION -> AbstractType.endOf(body, 0, false, false);
+            case SEEN -> AbstractType.endOf(body, 0, true, false);
+            case OBSERVATION -> AbstractType.endOf(body, 0, true, true);
+            case BOTH -> AbstractType.endOf(body, AbstractType.endOf(body, 0, true, true), false, false);
+            case NONE, TEXT, BYTES -> -1;
+        };
+        if (end >= 0 && end != body.length) {
+            throw new GlueException.Protocol("the body of " + kind + " is longer than its counts say");
         }
     }
 }

@@ -25,8 +25,9 @@ final class Player {
         if (player instanceof Seedable) {
             capabilities.add("seed");
         }
+        capabilities.add("mask");
         if (player instanceof Environment) {
-            capabilities.add("truncate");
+            capabilities.addAll(List.of("extras", "truncate"));
         }
         this.role = role;
         this.name = options.name();
@@ -86,10 +87,7 @@ final class Player {
             if (result == null) {
                 return link.error(call.seq(), "unknown-kind", "this " + role + " does not know " + call.kind());
             }
-            byte[][] answer =
-                    Message.encode(call.kind(), link.session(), call.seq(), result.body(), result.scalars());
-            link.check(answer);
-            return answer;
+            return link.encode(call.kind(), call.seq(), result.body(), result.scalars());
         } catch (Exception | AssertionError | StackOverflowError error) {
             String text = error.getMessage() == null ? error.toString() : error.getMessage();
             link.send(link.error(call.seq(), "exception", text));

@@ -2,11 +2,13 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstring>
 #include <memory>
 #include <optional>
 #include <random>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "../options.hpp"
@@ -68,10 +70,24 @@ class Link {
     }
   }
 
+  /// Cuts off what is beside an observation and not for the hub, as the hub itself does for others.
+  void cut(std::string& body, bool with_extras) const {
+    std::uint16_t beside[2];  // the sizes of mask and extras, which are the end of the body
+    std::memcpy(beside, body.data() + kCountsBeside, sizeof beside);
+    if (!extras_ || !with_extras) {
+      body.resize(body.size() - std::exchange(beside[1], std::uint16_t{0}));
+    }
+    if (!masks_) {
+      body.erase(body.size() - beside[1] - beside[0], beside[0]);
+      beside[0] = 0;
+    }
+    std::memcpy(body.data() + kCountsBeside, beside, sizeof beside);
+  }
+
   void send(const Frames& frames) { dealer_->send(frames); }
 
   /// Sends a message without a body.
-  void send(const HeaderWriter& header) {
+  void send(const Packer& header) {
     Frames frames;
     frames.header = header.bytes();
     dealer_->send(frames);
@@ -105,7 +121,7 @@ class Link {
   /// Says goodbye, and leaves.
   void close(std::string_view reason) {
     if (welcomed()) {
-      HeaderWriter goodbye;
+      Packer goodbye;
       send(goodbye.begin(1, kGoodbye, session(), 0).text(clip(reason)));
     }
     welcomed_ = false;
@@ -113,8 +129,8 @@ class Link {
   }
 
   /// Returns the ERROR with which a player answers.
-  HeaderWriter error(std::uint64_t seq, std::string_view code, std::string_view text) const {
-    HeaderWriter header;
+  Packer error(std::uint64_t seq, std::string_view code, std::string_view text) const {
+    Packer header;
     header.begin(2, kError, session(), seq).text(code).text(clip(text));
     return header;
   }
@@ -147,7 +163,7 @@ class Link {
   void greet() {
     welcomed_ = false;
     greeted_ = dealer_->connections();
-    HeaderWriter hello;
+    Packer hello;
     hello.begin(6, kHello, session(), greeted_).array(1).integer(1).text(role_).binary(instance_);
     hello.text(options_.name).text("C++").array(capabilities_.size());
     for (const auto& capability : capabilities_) hello.text(capability);
@@ -162,6 +178,9 @@ class Link {
     heartbeat_ = Milliseconds(static_cast<int>(1000 * (seconds > 0.01 ? std::min(seconds, 60.0) : 0.01)));
     timeout_ = std::max(Milliseconds(static_cast<int>(1000 * std::clamp(message.floats[1], 0.0, 86400.0))), heartbeat_);
     max_body_ = std::min<std::uint64_t>(message.ints[1], kMaxBody);
+    const auto& confirmed = message.capabilities;
+    masks_ = std::find(confirmed.begin(), confirmed.end(), "mask") != confirmed.end();
+    extras_ = std::find(confirmed.begin(), confirmed.end(), "extras") != confirmed.end();
     if (waiting_) log("the hub at " + options_.hub + " is there");
     waiting_ = false;
     welcomed_ = true;
@@ -178,7 +197,7 @@ class Link {
     const auto now = Clock::now();
     if (welcomed_) {
       if (now - received_ >= heartbeat_) {
-        HeaderWriter heartbeat;
+        Packer heartbeat;
         send(heartbeat.begin(0, kHeartbeat, session(), 0));
       }
     } else if (!waiting_ && now - received_ >= heartbeat_) {
@@ -188,10 +207,7 @@ class Link {
   }
 
   static void check_session(const std::string& session) {
-    const auto characters = std::count_if(session.begin(), session.end(), [](char c) { return (c & 0xc0) != 0x80; });
-    const bool printable =
-        std::none_of(session.begin(), session.end(), [](char c) { return static_cast<unsigned char>(c) < 0x20 || c == 0x7f; });
-    if (!is_utf8(session) || !printable || characters < 1 || characters > 255) {
+    if (!is_name(session, kMaxSession)) {
       throw ConfigError("the name of a session has 1 to 255 printable characters, not \"" + session + "\"");
     }
   }
@@ -204,6 +220,8 @@ class Link {
   Milliseconds heartbeat_{1000};
   Milliseconds timeout_{5000};
   std::size_t max_body_ = kMaxBody;
+  bool masks_ = false;   // whether the hub takes them; an older one does not
+  bool extras_ = false;
   std::uint64_t greeted_ = 0;  // the connection that was greeted last; also the seq of that HELLO
   bool welcomed_ = false;      // over that connection
   bool waiting_ = false;       // for a hub, and has said so

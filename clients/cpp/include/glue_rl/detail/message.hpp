@@ -1,16 +1,17 @@
 #pragma once
 
-#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "../abstract_type.hpp"
-#include "header.hpp"
+#include "msgpack.hpp"
 
 namespace glue_rl::detail {
 
+constexpr std::size_t kMaxHeader = 4096;
 constexpr std::size_t kMaxBody = 16777216;
 constexpr std::size_t kMaxSession = 255;
 constexpr std::uint64_t kCutOff = 2;  // as a terminal
@@ -67,9 +68,11 @@ enum Kind : std::uint64_t {
   kNotice = 70,
 };
 
-enum class Body { kNone, kBytes, kAbstract, kBoth };
+/// What a body is; agents are shown observations without extras.
+enum class Body { kNone, kBytes, kAction, kSeen, kObservation, kBoth };
 
-/// What a kind carries when it comes from the hub; a scalar is one letter: int, float, bool, text.
+/// What a kind carries when it comes from the hub; a scalar is one letter: int, float, bool, text, or Texts, an array that
+/// may be missing.
 struct Shape {
   const char* scalars;
   Body body;
@@ -84,17 +87,17 @@ inline Shape from_hub(std::uint64_t kind) {
     case kAgentInit: case kAgentMessage: case kAgentLoad: case kEnvMessage: case kEnvLoad: case kRlInit:
     case kRlAgentMessage: case kRlEnvMessage: case kRlAgentSave: case kRlEnvSave:
       return {"", Body::kBytes};
-    case kAgentStart: case kEnvStep: case kRlEnvStart: case kRlAgentStart: case kRlAgentStep:
-    case kRlAgentMetrics:
-      return {"", Body::kAbstract};
-    case kAgentStep: return {"f", Body::kAbstract};
-    case kRlEnvStep: return {"fb", Body::kAbstract};
+    case kEnvStep: case kRlAgentStart: case kRlAgentStep: case kRlAgentMetrics: return {"", Body::kAction};
+    case kAgentStart: return {"", Body::kSeen};
+    case kAgentStep: return {"f", Body::kSeen};
+    case kRlEnvStart: return {"", Body::kObservation};
+    case kRlEnvStep: return {"fb", Body::kObservation};
     case kRlStart: return {"", Body::kBoth};
     case kRlStep: return {"fb", Body::kBoth};
     case kAgentEnd: case kRlReturn: return {"f", Body::kNone};
     case kAgentSeed: case kEnvSeed: case kRlNumSteps: case kRlNumEpisodes: return {"i", Body::kNone};
     case kRlEpisode: return {"b", Body::kNone};
-    case kWelcome: return {"ibffi", Body::kNone};
+    case kWelcome: return {"ibffiT", Body::kNone};
     case kGoodbye: return {"t", Body::kNone};
     case kRefuse: case kError: return {"tt", Body::kNone};
     case kNotice: return {"ttt", Body::kNone};
@@ -113,22 +116,24 @@ struct Message {
   bool truth = false;
   bool cut_off = false;  // whether that truth was 2
   std::array<std::string_view, 3> texts{};
+  std::vector<std::string_view> capabilities;  // those offered that hold, in a WELCOME
   std::string_view body;
-  AbstractView first;   // the observation or action in the body
-  AbstractView second;  // the action behind an observation
+  ObservationView first;  // the observation or action in the body
+  AbstractView second;    // the action behind an observation
 };
 
 /// Returns what frames from the hub say; `body` is null if there is one frame.
 inline Message decode(std::string_view header, const std::string_view* body) {
-  HeaderReader reader(header);
+  if (header.size() > kMaxHeader) {
+    throw ProtocolError("a header has at most 4096 bytes, not " + std::to_string(header.size()));
+  }
+  Unpacker reader(header, "a header");
   Message message;
-  reader.array();
+  const std::uint64_t items = reader.array();
   message.kind = reader.integer();
   message.session = reader.text();
   message.seq = reader.integer();
-  const auto characters =
-      std::count_if(message.session.begin(), message.session.end(), [](char c) { return (c & 0xc0) != 0x80; });
-  if (static_cast<std::size_t>(characters) > kMaxSession) {
+  if (characters(message.session) > kMaxSession) {
     throw ProtocolError("the name of a session has more than 255 characters");
   }
   const Shape shape = from_hub(message.kind);
@@ -145,6 +150,11 @@ inline Message decode(std::string_view header, const std::string_view* body) {
         message.cut_off = flag == kCutOff;
         break;
       }
+      case 'T': {
+        if (items == static_cast<std::uint64_t>(3 + (type - shape.scalars))) break;
+        for (auto left = reader.array(); left != 0; --left) message.capabilities.push_back(reader.text());
+        break;
+      }
       default: message.texts[texts++] = reader.text(); break;
     }
   }
@@ -157,7 +167,8 @@ inline Message decode(std::string_view header, const std::string_view* body) {
   message.body = *body;
   if (shape.body == Body::kBytes) return message;
   std::string_view rest = *body;
-  message.first = AbstractView::take(rest);
+  message.first = shape.body == Body::kAction ? ObservationView(AbstractView::take(rest))
+                                              : ObservationView::take(rest, shape.body != Body::kSeen);
   if (shape.body == Body::kBoth) message.second = AbstractView::take(rest);
   if (!rest.empty()) throw ProtocolError("a body is longer than its counts say");
   return message;

@@ -10,7 +10,6 @@
 
 #include "../errors.hpp"
 #include "frames.hpp"
-#include "header.hpp"
 #include "message.hpp"
 
 namespace glue_rl::detail {

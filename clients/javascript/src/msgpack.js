@@ -1,11 +1,10 @@
-// The header of a message: a msgpack array, read and written item by item.
+// As much of msgpack as headers, which are arrays, and extras, which are maps, need: read and written item by item.
 //
-// The kind says which items come, so both are asked for by type, and nothing else is accepted.
+// The kind of a message says which items its header has, so they are asked for by type, and nothing else is accepted.
 
 import { ProtocolError } from "./errors.js";
 
-const MAX_HEADER = 4096;
-const MAX_ITEMS = 64;
+export const MAX_ITEMS = 64;
 const MAX_INT = 2n ** 63n - 1n;
 const MAX_EXACT = 2 ** 53;
 
@@ -13,8 +12,8 @@ const UTF8 = new TextDecoder("utf-8", { fatal: true, ignoreBOM: true });
 
 const DOUBLE = new DataView(new ArrayBuffer(8));
 
-/** Writes a header, item by item; it begins with an array. */
-export class HeaderWriter {
+/** Writes items, one after another. */
+export class Packer {
   /** @type {number[]} */
   #bytes = [];
 
@@ -22,6 +21,13 @@ export class HeaderWriter {
   array(items) {
     if (items < 16) this.#bytes.push(0x90 | items);
     else this.#bytes.push(0xdc, items >> 8, items & 0xff);
+    return this;
+  }
+
+  /** Begin a map. @param {number} items each a key and a value @returns {this} */
+  map(items) {
+    if (items < 16) this.#bytes.push(0x80 | items);
+    else this.#bytes.push(0xde, items >> 8, items & 0xff);
     return this;
   }
 
@@ -37,6 +43,22 @@ export class HeaderWriter {
     else {
       DOUBLE.setBigUint64(0, whole);
       this.#put(0xcf);
+    }
+    return this;
+  }
+
+  /** An integer from -2^63 to 2^63 - 1. @param {number | bigint} value @returns {this} */
+  signed(value) {
+    if (value >= 0) return this.int(value);
+    if (value < ~MAX_INT) throw new RangeError(`integers are from -2^63 to 2^63 - 1, not ${value}`);
+    const small = Number(value);
+    if (small >= -0x20) this.#bytes.push(small & 0xff);
+    else if (small >= -0x80) this.#bytes.push(0xd0, small & 0xff);
+    else if (small >= -0x8000) this.#bytes.push(0xd1, (small >> 8) & 0xff, small & 0xff);
+    else if (small >= -0x80000000) this.#bytes.push(0xd2, (small >> 24) & 0xff, (small >> 16) & 0xff, (small >> 8) & 0xff, small & 0xff);
+    else {
+      DOUBLE.setBigInt64(0, BigInt(value));
+      this.#put(0xd3);
     }
     return this;
   }
@@ -60,9 +82,9 @@ export class HeaderWriter {
     return this;
   }
 
-  /** @param {string} value @returns {this} */
+  /** @param {string | Buffer} value a text, or its UTF-8 @returns {this} */
   text(value) {
-    const utf8 = Buffer.from(value, "utf8");
+    const utf8 = typeof value === "string" ? Buffer.from(value, "utf8") : value;
     const { length } = utf8;
     if (length < 32) this.#bytes.push(0xa0 | length);
     else if (length < 0x100) this.#bytes.push(0xd9, length);
@@ -71,9 +93,12 @@ export class HeaderWriter {
     return this;
   }
 
-  /** @param {Uint8Array} value up to 255 bytes @returns {this} */
+  /** @param {Uint8Array} value up to 65,535 bytes @returns {this} */
   binary(value) {
-    this.#bytes.push(0xc4, value.length, ...value);
+    const { length } = value;
+    if (length < 0x100) this.#bytes.push(0xc4, length);
+    else this.#bytes.push(0xc5, length >> 8, length & 0xff);
+    this.#bytes.push(...value);
     return this;
   }
 
@@ -89,38 +114,71 @@ export class HeaderWriter {
   }
 }
 
-/** Reads a header, item by item; anything but what is asked for is a ProtocolError. */
-export class HeaderReader {
+/** @typedef {"int" | "float" | "text" | "binary" | "array" | "other"} Type */
+
+/** Reads items, one after another; anything but what is asked for is a ProtocolError. */
+export class Unpacker {
   #bytes;
+  #what;
   #at = 0;
   #left = 1; // items that have not been read
 
-  /** @param {Buffer} bytes */
-  constructor(bytes) {
-    if (bytes.length > MAX_HEADER) {
-      throw new ProtocolError(`a header has at most ${MAX_HEADER} bytes, not ${bytes.length}`);
-    }
+  /** @param {Buffer} bytes @param {string} what they are, in errors */
+  constructor(bytes, what) {
     this.#bytes = bytes;
+    this.#what = what;
   }
 
-  /** The number of items of an array, whose items come next. @returns {number} */
-  array() {
+  /** The type of the next item, which is not read. @returns {Type} */
+  next() {
+    const tag = this.#bytes[this.#at] ?? 0xc1;
+    if (tag < 0x80 || tag >= 0xe0 || (tag >= 0xcc && tag <= 0xd3)) return "int";
+    if (tag === 0xca || tag === 0xcb) return "float";
+    if ((tag & 0xe0) === 0xa0 || (tag >= 0xd9 && tag <= 0xdb)) return "text";
+    if (tag >= 0xc4 && tag <= 0xc6) return "binary";
+    return (tag & 0xf0) === 0x90 || tag === 0xdc || tag === 0xdd ? "array" : "other";
+  }
+
+  /** How many bytes have not been read, which is no less than the number of items. */
+  get remaining() {
+    return this.#bytes.length - this.#at;
+  }
+
+  /** The number of items of an array, whose items come next. @param {number} [most] @returns {number} */
+  array(most = MAX_ITEMS) {
     const tag = this.#tag();
     const items =
       (tag & 0xf0) === 0x90 ? tag & 0x0f
       : tag === 0xdc ? this.#uint(2)
       : tag === 0xdd ? this.#uint(4)
       : this.#fail("an array", tag);
-    if (items > MAX_ITEMS) throw new ProtocolError(`an array of a header has at most ${MAX_ITEMS} items, not ${items}`);
-    this.#left += items;
-    return items;
+    return this.#items(items, most, 1);
+  }
+
+  /** The number of items of a map; of each the key comes next, and then the value. @returns {number} */
+  map() {
+    const tag = this.#tag();
+    const items =
+      (tag & 0xf0) === 0x80 ? tag & 0x0f
+      : tag === 0xde ? this.#uint(2)
+      : tag === 0xdf ? this.#uint(4)
+      : this.#fail("a map", tag);
+    return this.#items(items, MAX_ITEMS, 2);
   }
 
   /** An integer as a number where that is exact, else as a bigint. @returns {number | bigint} */
   int() {
     const tag = this.#tag();
     const value = this.#integer(tag) ?? this.#fail("an integer", tag);
-    if (value < 0 || value > MAX_INT) throw new ProtocolError(`integers are from 0 to 2^63 - 1, not ${value}`);
+    if (value < 0 || value > MAX_INT) throw this.wrong(`has the integer ${value}, and they are from 0 to 2^63 - 1`);
+    return value;
+  }
+
+  /** An integer, which may be negative. @returns {number | bigint} */
+  signed() {
+    const tag = this.#tag();
+    const value = this.#integer(tag) ?? this.#fail("an integer", tag);
+    if (value > MAX_INT) throw this.wrong(`has the integer ${value}, which is beyond 2^63 - 1`);
     return value;
   }
 
@@ -130,7 +188,7 @@ export class HeaderReader {
     if (tag === 0xcb) return this.#bytes.readDoubleBE(this.#skip(8));
     if (tag === 0xca) return this.#bytes.readFloatBE(this.#skip(4));
     const value = this.#integer(tag) ?? this.#fail("a float", tag);
-    if (value > MAX_EXACT || value < -MAX_EXACT) throw new ProtocolError(`a float may be an integer up to 2^53, not ${value}`);
+    if (value > MAX_EXACT || value < -MAX_EXACT) throw this.wrong(`has ${value} for a float, which may be an integer up to 2^53`);
     return Number(value);
   }
 
@@ -154,19 +212,39 @@ export class HeaderReader {
     try {
       return UTF8.decode(this.#bytes.subarray(start, start + size));
     } catch {
-      throw new ProtocolError("a text of a header is not UTF-8");
+      throw this.wrong("has a text that is not UTF-8");
     }
+  }
+
+  /** @returns {Uint8Array} */
+  binary() {
+    const tag = this.#tag();
+    const size = tag >= 0xc4 && tag <= 0xc6 ? this.#uint(1 << (tag - 0xc4)) : this.#fail("bytes", tag);
+    const start = this.#skip(size);
+    return new Uint8Array(this.#bytes.subarray(start, start + size));
   }
 
   /** Check that nothing follows. */
   end() {
     if (this.#left !== 0 || this.#at !== this.#bytes.length) {
-      throw new ProtocolError("a header has other items than its kind says");
+      throw this.wrong("has more items than it should have");
     }
   }
 
+  /** @param {string} text */
+  wrong(text) {
+    return new ProtocolError(`${this.#what} ${text}`);
+  }
+
+  /** @param {number} items @param {number} most @param {number} each */
+  #items(items, most, each) {
+    if (items > most) throw this.wrong(`has an array or a map of ${items} items, and at most ${most} are allowed`);
+    this.#left += each * items;
+    return items;
+  }
+
   #tag() {
-    if (this.#left === 0) throw new ProtocolError("a header has fewer items than its kind says");
+    if (this.#left === 0) throw this.wrong("has fewer items than it should have");
     this.#left -= 1;
     return this.#bytes[this.#skip(1)];
   }
@@ -196,14 +274,14 @@ export class HeaderReader {
   /** @param {number} size @returns {number} where the skipped bytes begin */
   #skip(size) {
     const start = this.#at;
-    if (start + size > this.#bytes.length) throw new ProtocolError("a header ends in the middle of an item");
+    if (start + size > this.#bytes.length) throw this.wrong("ends in the middle of an item");
     this.#at = start + size;
     return start;
   }
 
   /** @param {string} expected @param {number} tag @returns {never} */
   #fail(expected, tag) {
-    throw new ProtocolError(`a header has ${expected} where the byte 0x${tag.toString(16)} was received`);
+    throw this.wrong(`has the byte 0x${tag.toString(16)} where ${expected} was expected`);
   }
 }
 

@@ -1,12 +1,11 @@
-//! The header of a message: a msgpack array, read and written item by item.
+//! As much of msgpack as headers, which are arrays, and extras, which are maps, need: read and written item by item.
 
 use crate::Error;
 
-pub(crate) const MAX_HEADER: usize = 4096;
-const MAX_ITEMS: u64 = 64;
+pub(crate) const MAX_ITEMS: u64 = 64;
 const MAX_EXACT: i128 = 1 << 53;
 
-/// Writes a header.
+/// Writes items, one after another.
 #[derive(Default)]
 pub(crate) struct Writer {
     pub(crate) bytes: Vec<u8>,
@@ -18,6 +17,17 @@ impl Writer {
             self.bytes.push(0x90 | items as u8);
         } else {
             self.bytes.push(0xdc);
+            self.bytes.extend_from_slice(&(items as u16).to_be_bytes());
+        }
+        self
+    }
+
+    /// Begins a map of up to 65,535 items, each a key and a value.
+    pub(crate) fn map(&mut self, items: usize) -> &mut Self {
+        if items < 16 {
+            self.bytes.push(0x80 | items as u8);
+        } else {
+            self.bytes.push(0xde);
             self.bytes.extend_from_slice(&(items as u16).to_be_bytes());
         }
         self
@@ -36,6 +46,23 @@ impl Writer {
             self.bytes.push(0xcc + power);
             self.bytes.extend_from_slice(&value.to_be_bytes()[8 - (1 << power)..]);
         }
+        self
+    }
+
+    pub(crate) fn signed(&mut self, value: i64) -> &mut Self {
+        let power = match value {
+            0.. => return self.int(value as u64),
+            -32..=-1 => {
+                self.bytes.push(value as u8);
+                return self;
+            }
+            -0x80..=-33 => 0,
+            -0x8000..=-0x81 => 1,
+            -0x8000_0000..=-0x8001 => 2,
+            _ => 3,
+        };
+        self.bytes.push(0xd0 + power);
+        self.bytes.extend_from_slice(&value.to_be_bytes()[8 - (1 << power)..]);
         self
     }
 
@@ -68,50 +95,98 @@ impl Writer {
         self
     }
 
-    /// Writes up to 255 bytes.
+    /// Writes up to 65,535 bytes.
     pub(crate) fn binary(&mut self, value: &[u8]) -> &mut Self {
-        self.bytes.extend_from_slice(&[0xc4, value.len() as u8]);
+        if value.len() < 0x100 {
+            self.bytes.extend_from_slice(&[0xc4, value.len() as u8]);
+        } else {
+            self.bytes.push(0xc5);
+            self.bytes.extend_from_slice(&(value.len() as u16).to_be_bytes());
+        }
         self.bytes.extend_from_slice(value);
         self
     }
 }
 
-/// Reads a header; anything but what is asked for is an error.
+/// What an item is.
+#[derive(Clone, Copy, PartialEq)]
+pub(crate) enum Type {
+    Int,
+    Float,
+    Text,
+    Binary,
+    Array,
+    Other,
+}
+
+/// Reads items, one after another; anything but what is asked for is an error.
 pub(crate) struct Reader<'a> {
     bytes: &'a [u8],
+    what: &'static str,
     /// Items that have not been read.
     left: u64,
 }
 
 impl<'a> Reader<'a> {
-    pub(crate) fn new(header: &'a [u8]) -> Result<Self, Error> {
-        if header.len() > MAX_HEADER {
-            return fail(format!("a header has at most {MAX_HEADER} bytes, not {}", header.len()));
+    /// Reads `bytes`, which errors call `what`.
+    pub(crate) fn new(bytes: &'a [u8], what: &'static str) -> Self {
+        Reader { bytes, what, left: 1 }
+    }
+
+    /// Returns the type of the next item, and reads nothing.
+    pub(crate) fn next(&self) -> Type {
+        match self.bytes.first() {
+            Some(0x00..=0x7f | 0xcc..=0xd3 | 0xe0..=0xff) => Type::Int,
+            Some(0xca | 0xcb) => Type::Float,
+            Some(0xa0..=0xbf | 0xd9..=0xdb) => Type::Text,
+            Some(0xc4..=0xc6) => Type::Binary,
+            Some(0x90..=0x9f | 0xdc | 0xdd) => Type::Array,
+            _ => Type::Other,
         }
-        Ok(Reader { bytes: header, left: 1 })
+    }
+
+    /// Returns how many bytes have not been read, which is no less than the number of items.
+    pub(crate) fn remaining(&self) -> u64 {
+        self.bytes.len() as u64
     }
 
     /// Returns the number of items of an array, whose items come next.
-    pub(crate) fn array(&mut self) -> Result<u64, Error> {
+    pub(crate) fn array(&mut self, most: u64) -> Result<u64, Error> {
         let items = match self.tag()? {
             tag @ 0x90..=0x9f => u64::from(tag & 0x0f),
             0xdc => self.unsigned(2)?,
             0xdd => self.unsigned(4)?,
-            tag => return unexpected("an array", tag),
+            tag => return self.unexpected("an array", tag),
         };
-        if items > MAX_ITEMS {
-            return fail(format!("an array of a header has at most {MAX_ITEMS} items, not {items}"));
-        }
-        self.left += items;
-        Ok(items)
+        self.items(items, most, 1)
+    }
+
+    /// Returns the number of items of a map; of each the key comes next, and then the value.
+    pub(crate) fn map(&mut self) -> Result<u64, Error> {
+        let items = match self.tag()? {
+            tag @ 0x80..=0x8f => u64::from(tag & 0x0f),
+            0xde => self.unsigned(2)?,
+            0xdf => self.unsigned(4)?,
+            tag => return self.unexpected("a map", tag),
+        };
+        self.items(items, MAX_ITEMS, 2)
     }
 
     pub(crate) fn int(&mut self) -> Result<u64, Error> {
         let tag = self.tag()?;
         match self.integer(tag)? {
             Some(value) if (0..1 << 63).contains(&value) => Ok(value as u64),
-            Some(value) => fail(format!("integers are from 0 to 2^63 - 1, not {value}")),
-            None => unexpected("an integer", tag),
+            Some(value) => self.fail(&format!("has the integer {value}, and they are from 0 to 2^63 - 1")),
+            None => self.unexpected("an integer", tag),
+        }
+    }
+
+    pub(crate) fn signed(&mut self) -> Result<i64, Error> {
+        let tag = self.tag()?;
+        match self.integer(tag)?.map(i64::try_from) {
+            Some(Ok(value)) => Ok(value),
+            Some(Err(_)) => self.fail("has an integer beyond 2^63 - 1"),
+            None => self.unexpected("an integer", tag),
         }
     }
 
@@ -121,8 +196,8 @@ impl<'a> Reader<'a> {
             0xca => Ok(f64::from(f32::from_bits(self.unsigned(4)? as u32))),
             tag => match self.integer(tag)? {
                 Some(value) if (-MAX_EXACT..=MAX_EXACT).contains(&value) => Ok(value as f64),
-                Some(value) => fail(format!("a float may be an integer up to 2^53, not {value}")),
-                None => unexpected("a float", tag),
+                Some(value) => self.fail(&format!("has {value} for a float, which may be an integer up to 2^53")),
+                None => self.unexpected("a float", tag),
             },
         }
     }
@@ -134,7 +209,7 @@ impl<'a> Reader<'a> {
             0xc3 => Ok(1),
             tag => match self.integer(tag)? {
                 Some(value) => Ok(value),
-                None => unexpected("a bool", tag),
+                None => self.unexpected("a bool", tag),
             },
         }
     }
@@ -145,23 +220,47 @@ impl<'a> Reader<'a> {
             0xd9 => self.unsigned(1)?,
             0xda => self.unsigned(2)?,
             0xdb => self.unsigned(4)?,
-            tag => return unexpected("a text", tag),
+            tag => return self.unexpected("a text", tag),
         };
         let utf8 = self.take(size as usize)?;
-        std::str::from_utf8(utf8).or_else(|_| fail("a text of a header is not UTF-8".to_owned()))
+        std::str::from_utf8(utf8).or_else(|_| self.fail("has a text that is not UTF-8"))
+    }
+
+    pub(crate) fn binary(&mut self) -> Result<&'a [u8], Error> {
+        let size = match self.tag()? {
+            tag @ 0xc4..=0xc6 => self.unsigned(1 << (tag - 0xc4))?,
+            tag => return self.unexpected("bytes", tag),
+        };
+        self.take(size as usize)
     }
 
     /// Checks that nothing follows.
     pub(crate) fn end(&self) -> Result<(), Error> {
         if self.left != 0 || !self.bytes.is_empty() {
-            return fail("a header has other items than its kind says".to_owned());
+            return self.fail("has more items than it should have");
         }
         Ok(())
     }
 
+    pub(crate) fn fail<T>(&self, text: &str) -> Result<T, Error> {
+        Err(Error::Protocol(format!("{} {text}", self.what)))
+    }
+
+    fn unexpected<T>(&self, expected: &str, tag: u8) -> Result<T, Error> {
+        self.fail(&format!("has the byte {tag:#04x} where {expected} was expected"))
+    }
+
+    fn items(&mut self, items: u64, most: u64, each: u64) -> Result<u64, Error> {
+        if items > most {
+            return self.fail(&format!("has an array or a map of {items} items, and at most {most} are allowed"));
+        }
+        self.left += each * items;
+        Ok(items)
+    }
+
     fn tag(&mut self) -> Result<u8, Error> {
         if self.left == 0 {
-            return fail("a header has fewer items than its kind says".to_owned());
+            return self.fail("has fewer items than it should have");
         }
         self.left -= 1;
         Ok(self.take(1)?[0])
@@ -190,18 +289,10 @@ impl<'a> Reader<'a> {
 
     fn take(&mut self, size: usize) -> Result<&'a [u8], Error> {
         if size > self.bytes.len() {
-            return fail("a header ends in the middle of an item".to_owned());
+            return self.fail("ends in the middle of an item");
         }
         let (taken, rest) = self.bytes.split_at(size);
         self.bytes = rest;
         Ok(taken)
     }
-}
-
-fn unexpected<T>(expected: &str, tag: u8) -> Result<T, Error> {
-    fail(format!("a header has {expected} where the byte {tag:#04x} was received"))
-}
-
-fn fail<T>(text: String) -> Result<T, Error> {
-    Err(Error::Protocol(text))
 }

@@ -3,11 +3,11 @@ package gluerl;
 import java.io.ByteArrayOutputStream;
 import java.nio.charset.StandardCharsets;
 
-/** Writes a header, a msgpack array, item by item. */
-final class HeaderWriter {
+/** Writes msgpack, item by item: a header, which is an array, or extras, which are a map. */
+final class Packer {
     private final ByteArrayOutputStream bytes = new ByteArrayOutputStream(64);
 
-    HeaderWriter array(int items) {
+    Packer array(int items) {
         if (items < 16) {
             bytes.write(0x90 | items);
         } else {
@@ -17,8 +17,19 @@ final class HeaderWriter {
         return this;
     }
 
+    /** Begins a map of up to 65,535 items, each a key and a value. */
+    Packer map(int items) {
+        if (items < 16) {
+            bytes.write(0x80 | items);
+        } else {
+            bytes.write(0xde);
+            bigEndian(items, 2);
+        }
+        return this;
+    }
+
     /** Writes an integer from 0 to 2^63 - 1 in as few bytes as there are. */
-    HeaderWriter integer(long value) {
+    Packer integer(long value) {
         if (value < 0) {
             throw new IllegalArgumentException("integers are from 0 to 2^63 - 1, not " + value);
         }
@@ -32,22 +43,35 @@ final class HeaderWriter {
         return this;
     }
 
-    HeaderWriter real(double value) {
+    Packer signed(long value) {
+        if (value >= 0) {
+            return integer(value);
+        }
+        if (value >= -32) {
+            bytes.write((int) value);
+            return this;
+        }
+        int power = value >= Byte.MIN_VALUE ? 0 : value >= Short.MIN_VALUE ? 1 : value >= Integer.MIN_VALUE ? 2 : 3;
+        bytes.write(0xd0 + power);
+        return bigEndian(value, 1 << power);
+    }
+
+    Packer real(double value) {
         bytes.write(0xcb);
         return bigEndian(Double.doubleToRawLongBits(value), 8);
     }
 
-    HeaderWriter truth(boolean value) {
+    Packer truth(boolean value) {
         bytes.write(value ? 0xc3 : 0xc2);
         return this;
     }
 
-    HeaderWriter nil() {
+    Packer nil() {
         bytes.write(0xc0);
         return this;
     }
 
-    HeaderWriter text(String value) {
+    Packer text(String value) {
         byte[] utf8 = value.getBytes(StandardCharsets.UTF_8);
         if (utf8.length < 32) {
             bytes.write(0xa0 | utf8.length);
@@ -62,10 +86,11 @@ final class HeaderWriter {
         return this;
     }
 
-    /** Writes up to 255 bytes. */
-    HeaderWriter binary(byte[] value) {
-        bytes.write(0xc4);
-        bytes.write(value.length);
+    /** Writes up to 65,535 bytes. */
+    Packer binary(byte[] value) {
+        int power = value.length < 0x100 ? 0 : 1;
+        bytes.write(0xc4 + power);
+        bigEndian(value.length, 1 << power);
         bytes.writeBytes(value);
         return this;
     }
@@ -74,7 +99,7 @@ final class HeaderWriter {
         return bytes.toByteArray();
     }
 
-    private HeaderWriter bigEndian(long value, int size) {
+    private Packer bigEndian(long value, int size) {
         for (int shift = 8 * size - 8; shift >= 0; shift -= 8) {
             bytes.write((int) (value >> shift));
         }

@@ -1,0 +1,208 @@
+"""An environment's extras, from its steps to the columns of a run, in each way of playing a trial."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from experiment_runner.cli.experiment import experiment
+from experiment_runner.cli.plot import plot
+from experiment_runner.executors.extras import Extras
+from experiment_runner.executors.recording import Meter
+from experiment_runner.plan.extras import SUMMARIES, Summary
+from experiment_runner.plan.file import dump_plan, parse_plan
+from experiment_runner.plan.ids import REMOTE, TrialId
+from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.plan import RoleSpec, TrialSpec, differences
+from experiment_runner.plan.toml import SettingError
+from experiment_runner.store.export import episode_table
+from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult
+from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import load_run
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
+from glue.errors import ConfigError
+from glue.roles import Agent, Environment
+from glue.trajectory import TrajectoryReader, TrajectoryWriter
+from glue.types import Action, Observation, Step
+from tests.experiment_runner.executors.test_trial import play
+from tests.hubs import over_the_hub
+
+HEIGHTS = ((2.0, 5.0, 1.0), (4.0, -1.0))
+
+
+class Climbing(Environment):
+    """Tells the height at each observation but the first; the whole climb, and how it ended, at the last."""
+
+    env_extras = True
+
+    def __init__(self) -> None:
+        self._episode = -1
+
+    def env_init(self) -> str:
+        return ""
+
+    def env_start(self) -> Observation:
+        self._episode = (self._episode + 1) % len(HEIGHTS)
+        self._step = 0
+        return Observation([0], extras={"steps": 0})
+
+    def env_step(self, action: Action) -> Step:
+        heights = HEIGHTS[self._episode]
+        extras: dict[str, Any] = {"height": heights[self._step], "steps": self._step + 1}
+        self._step += 1
+        over = self._step == len(heights)
+        if over:
+            extras |= {"end": "tired", "climb": [*heights]}
+        return Step(0.0, Observation([self._step], extras=extras), over)
+
+
+class Still(Agent):
+    """Does nothing."""
+
+    def agent_start(self, observation: Observation) -> Action:
+        return Action()
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return Action()
+
+
+Glue = Callable[[Any, Environment], AbstractContextManager[Experiment]]
+SPEC = TrialSpec(TrialId("t"), None, RoleSpec("climbing"), 2, 0, 1)
+PLAN: dict[str, Summary] = {"climbing.height": "max", "steps": "last", "end": "last", "other.height": "min"}
+
+
+@pytest.mark.parametrize("glue", [local, over_the_hub])
+@pytest.mark.parametrize("records", [False, True])
+def test_each_episode_has_a_number_of_each_extra(glue: Glue, records: bool, tmp_path: Path) -> None:
+    path = tmp_path / "recording"
+    with (
+        TrajectoryWriter(path) if records else nullcontext() as writer,
+        glue(Still(), Climbing()) as connected,
+    ):
+        kept = play(connected, spec=SPEC, recording=writer, extras=PLAN, metrics=MetricsPlan(2))
+    assert [reading for reading in kept.readings if TOTAL_REWARD not in reading.values] == [
+        (3, {"climbing.height": 5.0, "climbing.steps": 3.0}),
+        (5, {"climbing.height": 4.0, "climbing.steps": 2.0}),
+    ]
+    assert [reading.step for reading in kept.readings if TOTAL_REWARD in reading.values] == [2, 4]
+    assert kept.events.count("unmetered") == 2  # the agent has no metrics, and the end is no number
+    if records:
+        first, _ = TrajectoryReader(path)
+        seen = first.steps[0].observation
+        assert seen is not None
+        assert seen.extras == {"height": 2.0, "steps": 1}
+
+
+def test_an_episode_is_summed_up_in_six_ways() -> None:
+    for how, expected in zip(SUMMARIES, (2.0, 1.0, 8.0, 8 / 3, 1.0, 5.0), strict=True):
+        extras = Extras({"height": how}, "climbing")
+        for episode in range(2):
+            extras.begin()
+            assert extras.numbers() == {}
+            for height in HEIGHTS[0]:
+                extras.see(Observation(extras={"height": height, "unasked": 1}))
+            assert extras.numbers() == {"climbing.height": expected}, episode
+            assert [*extras.missing()] == []
+
+
+def test_what_is_not_recorded_is_explained() -> None:
+    extras = Extras({"end": "last", "hight": "max", "climb": "sum"}, "climbing")
+    extras.see(Observation(extras={"height": 1.0, "end": "tired", "climb": [1, 2]}))
+    ends, hight, climb = extras.missing()
+    assert "end is not recorded: it is 'tired', not a number" in ends
+    assert "sent no extra hight" in hight
+    assert "(1, 2)" in climb
+
+
+def test_the_label_of_an_environment_that_joins_from_outside_may_be_any() -> None:
+    extras = Extras({"mario.coins": "last", "kills": "last"}, REMOTE)
+    extras.see(Observation(extras={"coins": 3, "kills": 1}))
+    assert extras.numbers() == {"remote.coins": 3.0, "remote.kills": 1.0}
+
+
+def test_an_environment_may_put_its_name_before_an_extras() -> None:
+    for label, stored in (("mario", "mario.coins"), ("hard", "hard.mario.coins"), (REMOTE, "remote.coins")):
+        extras = Extras({"mario.coins": "last"}, label)
+        extras.see(Observation(extras={"mario.coins": 3}))
+        assert extras.numbers() == {stored: 3.0}
+
+
+def test_an_attempt_that_became_void_leaves_nothing() -> None:
+    with local(Still(), Climbing()) as glue:
+        glue.rl_init(1)
+        meter = Meter(glue, None, extras=Extras({"height": "max"}, "climbing"))
+        meter.begin()
+        glue.rl_start()
+        meter.see(glue.rl_step().observation)
+        meter.see(Observation(extras={"height": 99}))
+        meter.begin()
+        assert meter.rl_episode(0)
+        assert meter.save() == b""
+        (reading,) = meter.end(EpisodeResult(1, 0.0, 2, True, 0.0))
+    assert reading.values == {"climbing.height": 4.0}
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run of both episodes, twice, by the command."""
+    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:Still")
+    metrics = ("Climbing.height=max", "steps=sum", "end=last")
+    options = ("--episodes=4", "--in-process", f"--out={tmp_path / 'run'}")
+    command = [*names, *(f"--metric={metric}" for metric in metrics), *options]
+    result = CliRunner().invoke(experiment, command, standalone_mode=False)
+    assert result.exception is None
+    return tmp_path / "run"
+
+
+def test_a_run_has_a_column_for_each_extra(run: Path) -> None:
+    data = load_run(run)
+    columns = [*data]
+    assert columns[columns.index("extra.steps") :][:3] == ["extra.steps", "height", "seed"]
+    assert data["height"].tolist() == [5.0, 4.0, 5.0, 4.0]
+    assert data["extra.steps"].tolist() == [6.0, 3.0, 6.0, 3.0]
+    with Results.open(run) as results:
+        types, trials = episode_table(results)
+        assert types["height"] is float
+        height = [*types].index("height")
+        assert [row[height] for rows in trials for row in rows] == [5.0, 4.0, 5.0, 4.0]
+        assert [event.text for event in results.events() if event.kind == "unmetered"] == [
+            "the extra end is not recorded: it is 'tired', not a number"
+        ]
+
+
+def test_an_extra_is_plotted_by_the_name_of_its_column(run: Path, tmp_path: Path) -> None:
+    for over in ("episodes", "steps"):
+        arguments = [str(run), "--y", "height", "--over", over, "--out", str(tmp_path / f"{over}.svg")]
+        assert CliRunner().invoke(plot, arguments, standalone_mode=False).exception is None
+        assert "height" in (tmp_path / f"{over}.svg").read_text()
+    assert "5" in CliRunner().invoke(plot, [str(run), "--y", "height"]).output
+    assert "did you mean height" in CliRunner().invoke(plot, [str(run), "--y", "hight"]).output
+
+
+def test_a_plan_has_a_table_of_extras() -> None:
+    text = 'episodes = 1\n[extras]\nmario.coins = "last"\nscore = "mean"\n"a b" = "min"\n'
+    plan = parse_plan(text)
+    assert plan.extras == {"mario.coins": "last", "score": "mean", "a b": "min"}
+    assert parse_plan(dump_plan(plan)) == plan
+    assert differences(plan, replace(plan, extras={})) == [f"extras are {{}}, not {plan.extras}"]
+    for wrong, message in (
+        ("extras = 3", "extras must be a table"),
+        ('[extras]\nscore = "lats"', "of the extra 'score' .* not 'lats'; did you mean last"),
+        ("[extras]\nmario.coins = 1", "of the extra 'mario.coins'"),
+    ):
+        with pytest.raises(SettingError, match=message):
+            parse_plan(f"episodes = 1\n{wrong}")
+
+
+@pytest.mark.parametrize("metric", ["coins", "=last", "coins=", "coins=lats"])
+def test_a_metric_of_another_form_is_refused(metric: str) -> None:
+    command = ["--env=mines", "--agent=random", "--episodes=1", f"--metric={metric}"]
+    with pytest.raises(ConfigError, match=r"as in coins=last|of the extra 'coins'"):
+        CliRunner().invoke(experiment, command, standalone_mode=False, catch_exceptions=False)

@@ -1,0 +1,243 @@
+"""An environment that does not wait for its agent, in the session of a hub, by a clock set by hand."""
+
+from __future__ import annotations
+
+import pytest
+
+from glue.hub.config import HubConfig, TimeLimits
+from glue.pace import Pace
+from glue.types import Action, Observation
+from glue.wire.messages import ErrorCode, Event, Kind, Message, Role
+from tests.glue.hub.test_sessions import Rig, error, notices
+from tests.weighing import check_sessions
+
+TIME = TimeLimits(step_seconds=1.0, bank_seconds=3.0)
+
+
+def action(number: int) -> bytes:
+    return Action([number]).body
+
+
+def observation(number: int) -> bytes:
+    return Observation([number]).body
+
+
+def calls(rig: Rig, channel: str) -> list[Message]:
+    """Return the calls that a player has received, without heartbeats."""
+    return [message for message in rig.received(channel) if message.kind is not Kind.HEARTBEAT]
+
+
+def only(rig: Rig, channel: str) -> Message:
+    """Return the only call that a player has received."""
+    (call,) = calls(rig, channel)
+    return call
+
+
+def begun(pace: Pace, *abilities: str, time: TimeLimits | None = None) -> Rig:
+    """Return a rig in an RL_episode: the agent has answered its start with action 100.
+
+    The first step is due at once, and has been asked for.
+    """
+    rig: Rig = Rig(HubConfig(heartbeat=1.0, timeout=5.0, time=time, pace=pace))
+    rig.hello("e", Role.ENVIRONMENT)
+    rig.hello("a", Role.AGENT, abilities=abilities)
+    rig.hello("x", Role.EXPERIMENT)
+    rig.ask(Kind.RL_INIT, 1, None)
+    rig.serve()
+    rig.ask(Kind.RL_EPISODE, 2, 0)
+    rig.answer("e")
+    start = only(rig, "a")
+    rig.wait(3.0)
+    rig.put("a", start.kind, start.seq, body=action(100))
+    return rig
+
+
+def step(rig: Rig, number: int, terminal: bool = False) -> bytes:
+    """Let the environment make the step that it was asked for; return the action that it carries out."""
+    call = only(rig, "e")
+    assert call.kind is Kind.ENV_STEP
+    rig.put("e", call.kind, call.seq, 1.0, terminal, body=observation(number))
+    return call.body
+
+
+def test_an_action_that_comes_in_time_is_carried_out_when_its_step_is_due() -> None:
+    rig = begun(Pace(rate=10.0))
+    assert step(rig, 1) == action(100)
+    rig.wait(0.0625)
+    call = only(rig, "a")
+    assert (call.kind, call.scalars, call.body) == (Kind.AGENT_STEP, (1.0,), observation(1))
+    rig.put("a", call.kind, call.seq, body=action(101))
+    assert calls(rig, "e") == []  # not yet
+    rig.wait(0.0625)
+    assert step(rig, 2) == action(101)
+    assert rig.sessions.num_late("s") == 0
+
+
+def test_a_late_agents_call_stays_outstanding_and_its_answer_is_carried_out_next() -> None:
+    rig = begun(Pace(rate=10.0))
+    step(rig, 1)
+    first = only(rig, "a")
+    for number in (2, 3, 4):
+        rig.wait(0.1)
+        assert step(rig, number) == action(100)
+    assert calls(rig, "a") == []
+    rig.put("a", first.kind, first.seq, body=action(101))
+    second = only(rig, "a")  # at once: the newest observation, and the sum of the rewards since the first
+    assert (second.scalars, second.body) == ((3.0,), observation(4))
+    rig.wait(0.1)
+    assert step(rig, 5) == action(101)
+    rig.put("a", second.kind, second.seq, body=action(104))
+    rig.wait(0.1)
+    assert step(rig, 6) == action(104)
+    assert rig.sessions.num_late("s") == 5  # two of them not chosen for the newest observation
+
+
+def test_an_episode_that_ends_while_the_agent_is_late_waits_for_its_answer() -> None:
+    rig = begun(Pace(rate=10.0))
+    step(rig, 1)
+    late = only(rig, "a")
+    rig.wait(0.1)
+    step(rig, 2, terminal=True)
+    assert calls(rig, "a") == calls(rig, "x") == []
+    rig.put("a", late.kind, late.seq, body=action(101))
+    end = only(rig, "a")
+    assert (end.kind, end.scalars) == (Kind.AGENT_END, (1.0,))
+    (reply,) = rig.say("a", end.kind, end.seq) or rig.received("x")
+    assert (reply.kind, reply.scalars) == (Kind.RL_EPISODE, (True,))
+
+
+def test_an_agent_with_the_capability_is_told_its_deadline_and_latency() -> None:
+    rig = begun(Pace(rate=10.0), "pace")
+    step(rig, 1)
+    call = only(rig, "a")
+    assert list(call.scalars) == pytest.approx([1.0, 0.1, 3.0])
+    rig.wait(0.05)
+    rig.put("a", call.kind, call.seq, body=action(101))
+    rig.wait(0.05)
+    rig.wait(0.02)  # the environment takes its time
+    step(rig, 2)
+    assert list(only(rig, "a").scalars) == pytest.approx([1.0, 0.08, 0.05])
+
+
+def test_an_agent_that_returns_is_sent_its_outstanding_call_again() -> None:
+    rig = begun(Pace(rate=10.0))
+    step(rig, 1)
+    call = only(rig, "a")
+    rig.cut("a")
+    for number in (2, 3):
+        rig.wait(0.1)
+        step(rig, number)
+    welcome, again = rig.hello("a2", Role.AGENT, "a")
+    assert welcome.scalars[1] is True
+    assert again == call  # not the newest: that one it is given next
+    rig.put("a2", call.kind, call.seq, body=action(101))
+    assert only(rig, "a2").body == observation(3)
+
+
+def test_an_agent_that_is_lost_voids_the_episode_and_another_takes_its_place() -> None:
+    rig = begun(Pace(rate=10.0))
+    step(rig, 1)
+    rig.lose("a")
+    assert error([m for m in rig.received("x") if m.kind is Kind.ERROR])[0] == ErrorCode.PEER_LOST
+    rig.wait(1.0)
+    assert not [call for call in calls(rig, "e") if call.kind is Kind.ENV_STEP]  # nothing is due any more
+    rig.hello("b", Role.AGENT)
+    rig.ask(Kind.RL_EPISODE, 3, 0)
+    rig.answer("e")
+    assert [rig.answer("b"), rig.answer("b")] == [Kind.AGENT_INIT, Kind.AGENT_START]
+    assert step(rig, 1) == Action([4]).body
+
+
+def test_an_environment_that_is_lost_ends_the_agents_call_too() -> None:
+    rig = begun(Pace(rate=10.0))
+    step(rig, 1)
+    late = only(rig, "a")
+    rig.wait(0.1)
+    rig.lose("e")
+    rig.received("x")
+    rig.put("a", late.kind, late.seq, body=action(101))  # to an episode that is void
+    assert calls(rig, "a") == calls(rig, "x") == []
+    rig.hello("e2", Role.ENVIRONMENT)
+    rig.ask(Kind.RL_START, 3)
+    assert [rig.answer("e2"), rig.answer("e2")] == [Kind.ENV_INIT, Kind.ENV_START]
+    assert only(rig, "a").kind is Kind.AGENT_START
+
+
+def test_an_answer_to_another_call_is_refused() -> None:
+    rig = begun(Pace(rate=10.0))
+    step(rig, 1)
+    call = only(rig, "a")
+    (refusal,) = rig.say("a", Kind.AGENT_END, call.seq)
+    assert refusal.scalars == ("not-asked", "AGENT_END was answered; AGENT_STEP was asked")
+    assert error(rig.received("x"))[0] == ErrorCode.PEER_FAILED
+
+
+def test_an_agent_that_raises_fails_the_verb() -> None:
+    rig = begun(Pace(rate=10.0))
+    step(rig, 1)
+    call = only(rig, "a")
+    rig.put("a", Kind.ERROR, call.seq, "exception", "no idea")
+    assert error(rig.received("x")) == (ErrorCode.PEER_FAILED, "agent a raised in agent_step: no idea")
+
+
+def test_a_late_agent_has_its_time_limit_all_the_same() -> None:
+    rig = begun(Pace(rate=2.0), time=TIME)
+    number = 0
+    while not (failure := [message for message in rig.received("x") if message.kind is Kind.ERROR]):
+        number += 1
+        step(rig, number)
+        rig.wait(0.5)
+        rig.sessions.tick(rig.now)
+    assert number == 5  # one second is free, the bank has three, and the start has taken two of them
+    assert "a ran out of time" in error(failure)[1]
+
+
+def test_a_late_agent_is_reported_as_slow() -> None:
+    rig = begun(Pace(rate=1.0))
+    for number in range(1, 8):
+        step(rig, number)
+        rig.wait(1.0)
+        rig.sessions.tick(rig.now)
+    assert notices(rig.received("x")) == [(Event.SLOW, "agent")]
+    assert "a has not answered agent_step for 5 s" in rig.logged[-1]
+
+
+def test_a_message_between_two_steps_waits_for_the_agent() -> None:
+    rig = begun(Pace(rate=10.0))
+    # in an episode made step by step
+    step(rig, 1, terminal=True)
+    end = only(rig, "a")
+    rig.put("a", end.kind, end.seq)
+    rig.ask(Kind.RL_START, 3)
+    rig.serve()
+    rig.received("x")
+    rig.ask(Kind.RL_STEP, 4)
+    step(rig, 1)
+    late = only(rig, "a")
+    rig.wait(0.1)
+    assert rig.received("x")[0].kind is Kind.RL_STEP
+    rig.ask(Kind.RL_AGENT_MESSAGE, 5, body=b"well?")
+    assert calls(rig, "a") == []
+    rig.put("a", late.kind, late.seq, body=action(101))
+    assert only(rig, "a").body == b"well?"
+
+
+@pytest.mark.parametrize("size", [10, 100_000])
+def test_delayed_actions_are_part_of_the_memory(size: int) -> None:
+    rig = begun(Pace(delay=50))
+    for number in range(60):
+        step(rig, number)
+        call = only(rig, "a")
+        rig.put("a", call.kind, call.seq, body=Action([1], chars=bytes(size)).body)
+        check_sessions(rig.sessions)
+
+
+def test_a_batch_has_no_pace() -> None:
+    rig: Rig = Rig(HubConfig(pace=Pace(rate=10.0)))
+    rig.hello("e", Role.ENVIRONMENT, abilities=("batch",))
+    rig.hello("a", Role.AGENT, abilities=("batch",))
+    rig.hello("x", Role.EXPERIMENT)
+    rig.ask(Kind.RL_INIT, 1, None)
+    rig.answer("e")
+    code, text = error(rig.received("x"))
+    assert (code, "no rate and no delay" in text) == (ErrorCode.UNSUPPORTED, True)
