@@ -33,7 +33,7 @@ enrol = "closed"
 memory = "256m"
 [tasks.mines]
 env = "mines"
-steps = 20_000
+steps = 5_000
 phase = "proving"
 [entrants.alice]
 image = "glue-test/season"
