@@ -93,13 +93,16 @@ class AbstractType:
         """Return the value with the wire form `body`, without copying it.
 
         Raises:
-            RemoteProtocolError: the counts do not add up to the length of `body`.
+            RemoteProtocolError: the counts do not add up to the length of `body`, or an action has a mask or
+                extras.
         """
         size = body_size(body)
         if size != len(body):
             raise RemoteProtocolError(
                 f"the counts of an abstract type add up to {size} bytes; its body has {len(body)}"
             )
+        if cls is Action and has_beside(body):
+            raise RemoteProtocolError("bytes 12 to 15 of an action must be zero: it has no mask, no extras")
         return cls._wrap(body)
 
     @classmethod
