@@ -3,6 +3,7 @@ from __future__ import annotations
 import textwrap
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -132,8 +133,24 @@ roles = st.lists(sweeps, max_size=3, unique_by=lambda sweep: sweep.label).map(tu
 inside = st.lists(st.sampled_from([*PLAYERS]), unique=True).map(tuple)
 
 
-@given(st.builds(Plan, episodes=st.integers(1, 2**63 - 1), environments=roles, agents=roles, inside=inside))
-def test_dumped_plan_reads_back_equal(plan: Plan) -> None:
+paces = st.fixed_dictionaries(
+    {
+        "rate": st.floats(0.001, 1000),
+        "late": st.sampled_from(["repeat", "0,-1", "0.5"]),
+        "delay": st.integers(0, 1000),
+    }
+)
+
+
+@given(st.integers(1, 2**63 - 1), roles, roles, inside, st.one_of(st.just({}), paces))
+def test_dumped_plan_reads_back_equal(
+    episodes: int,
+    environments: tuple[RoleSweep, ...],
+    agents: tuple[RoleSweep, ...],
+    inside: Any,
+    pace: dict[str, Any],
+) -> None:
+    plan = Plan(episodes=episodes, environments=environments, agents=agents, inside=inside, **pace)
     back = parse_plan(dump_plan(plan))
     assert back == plan
     assert dump_plan(back) == dump_plan(plan)  # true, 1 and 1.0 are equal, but different options
@@ -163,6 +180,10 @@ def test_dumped_plan_reads_back_equal(plan: Plan) -> None:
         ("episodes = 5\n[agents.a]\nspeed = [[1]]", "option speed of a takes a number"),
         ("episodes = 5\n[agents.a]\nspeed = 2020-01-01", "option speed of a takes a number"),
         ("episodes = 5\n[agents.a]\nspeed = 0x" + 5000 * "f", "option speed of a takes a number"),
+        ("episodes = 5\nrate = 2000", "a rate is from 0.001 to 1000 steps per second"),
+        ('episodes = 5\nlate = "1"', "give a rate or a delay, too"),
+        ('episodes = 5\nrate = 2\nlate = "now"', "late is `repeat`, or the numbers of an action"),
+        ("episodes = 5\ndelay = -1", "a delay is from 0 to 1000 steps, not -1"),
         ('episodes = 5\nseeds = "name"', "seeds cannot be 'name'; did you mean number"),
         ("episodes = 5\nseeds = 0x" + 5000 * "f", "seeds cannot be .*; choose from number, id"),
         ('episodes = 5\ninside = "env"', r"inside must be a list, as in \[.*\], not 'env'"),
@@ -260,6 +281,7 @@ def test_differences_say_what_differs() -> None:
         agents=(RoleSweep("flat", {"terminal_update": True, "x": 1}, "textbook"), RoleSweep("sample")),
     )
     assert differences(ours, ours) == []
+    assert differences(ours, replace(ours, rate=24.0)) == ["rate is 24.0, not 0.0"]
     assert differences(ours, theirs) == [
         "episodes is 30, not 20",
         "level_seed of mario is 121,123, not 121,122",
@@ -280,6 +302,8 @@ def test_description_lists_every_trial_with_its_seed() -> None:
     ]
     assert [line.split()[0] for line in lines[4:]] == [spec.id for spec in plan.expand()]
     assert lines[4].endswith(f"seed {plan.expand()[0].seed}")
+    timed = describe(Plan(episodes=1, rate=24.0, late="0", delay=2)).splitlines()[0]
+    assert "24 steps per second, actions delayed by 2 steps, in place of late ones 0; seed" in timed
     remote = describe(Plan(episodes=1, max_steps=9))
     assert "cut off after 9 steps" in remote
     assert "agents        connects from outside" in remote
