@@ -118,9 +118,12 @@ def serve(
     if page is not None:
         check_view("page")
     competition = load_competition(file)
+    if competition.season is None:
+        raise ConfigError(f"{file} has no table [season]: glue-compete run holds its competition")
     secret = read_secret(competition, os.environ, log)
-    code = None if competition.season is None else read_code(competition.season, os.environ, log)
+    code = read_code(competition.season, os.environ, log)
     gate = None if keys is None else Gate(bind, keys.absolute())
+    check_gate(competition, gate)
 
     def kept() -> None:
         log("nothing is lost: start the same command again")
@@ -129,7 +132,6 @@ def serve(
         with naming_out():
             text = read_text(file, follow=True)
             store = stack.enter_context(open_competition(out, text, competition, secret))
-        check_gate(competition, gate)
         executor = executor_of(competition, Backend(engine), address)
         if page is not None:
             stack.enter_context(

@@ -85,7 +85,8 @@ def acts_for(
 
 def _added(wanted: Organise, course: Course, now: datetime) -> list[Act]:
     competition = load_competition(Path(wanted.file))
-    new = [entrant for entrant in competition.entrants if entrant.name not in course.entrants]
+    known = course.entrants
+    new = [entrant for entrant in competition.entrants if entrant.name not in known]
     if not new:
         raise ExperimentError(f"{wanted.file} has no entrant that does not take part already")
     return admissions(competition, new, journal.ADD, wanted.why, now)
@@ -105,6 +106,8 @@ def _rerun(wanted: Organise, state: SeasonState, now: datetime) -> Act:
     name, entrant = wanted.subject, state.entrant(wanted.subject)
     if state.closed is not None:
         raise ExperimentError(f"the season was closed at {state.closed}")
+    if entrant.excluded:
+        raise ExperimentError(f"{name} is excluded: {entrant.excluded}")
     ended = [number for number, one in entrant.attempts.items() if one.state in ("over", "ours")]
     number = wanted.number or max(ended, default=0)
     if number not in ended:

@@ -284,8 +284,7 @@ class Server(Matches):
         season, name = self._state.season, wanted.name
         if season.enrol == "closed" or self._gate is None:
             raise ExperimentError("nobody can enrol: ask the organiser")
-        if self._state.closed is not None or self._now() >= season.closes:
-            raise ExperimentError("the season is over")
+        self._check_not_over()
         if season.enrol == "code" and not (
             self._code and hmac.compare_digest(self._code.encode(), wanted.code.encode())
         ):
@@ -306,6 +305,10 @@ class Server(Matches):
             self._record(act(journal.ENROL, name, "", now=self._now(), player=f"{name}.key", id=key, **more))
         hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
         return {"hub_key": hub_key, "token": token, "alias": self._state.entrants[name].act.alias}
+
+    def _check_not_over(self) -> None:
+        if self._state.closed is not None or self._now() >= self._state.season.closes:
+            raise ExperimentError("the season is over")
 
     def _check_new(self, name: str, key: str) -> None:
         if ("name", name.casefold()) in self._taken:
@@ -393,7 +396,7 @@ class Server(Matches):
         """Return the boards after the last act, or somewhat older ones: they may take a fifth of the time."""
         clock = self._clock()
         if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
-            self._boards_of = len(self._acts)
+            self._boards, self._boards_of = None, len(self._acts)
             outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
             self._boards = Boards(self._course, outcomes, verdicts, self._now())
             self._boards.seen_by(ANYBODY)
@@ -414,6 +417,7 @@ class Server(Matches):
         entrant = self._state.entrant(wanted.entrant)
         if not self._state.season.images:
             raise ExperimentError("no images are accepted in this season")
+        self._check_not_over()
         if entrant.excluded:
             raise ExperimentError(f"{wanted.entrant} is excluded: {entrant.excluded}")
         if not IMAGE_ID.fullmatch(wanted.image):
@@ -622,12 +626,10 @@ class Server(Matches):
         name, now = slot.entrant.name, self._now()
         attempts = self._state.entrants[name].attempts
         ours = act(journal.OURS, name, why, now=now, number=slot.attempt.number)
-        if slot.attempt.instead:
-            kind, more = journal.RERUN, {"instead": slot.attempt.instead}
-        else:
-            kind, more = journal.REQUEST, {}
+        kind = journal.RERUN if slot.attempt.instead else journal.REQUEST
+        instead = slot.attempt.instead or slot.attempt.number
         why = f"instead of attempt {slot.attempt.number}"
-        again = act(kind, name, why, now=now, number=len(attempts) + 1, **more)
+        again = act(kind, name, why, now=now, number=len(attempts) + 1, instead=instead)
         least, most = _REST_SECONDS
         _, rest = self._rests.get(name, (0.0, least / 2))
         rest = min(2 * rest, most)
@@ -643,6 +645,8 @@ class Server(Matches):
             self._dispatcher.cancel(trial_id)
             self._until.pop(trial_id, None)
             self._replays.pop(trial_id, None)
+            self._verified.pop(trial_id, None)
+            self._forfeits.pop(trial_id, None)
             self.matches.pop(trial_id, None)
             if trial_id in self._records:
                 self._records.pop(trial_id).close()

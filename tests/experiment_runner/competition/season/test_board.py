@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 from contextlib import suppress
 from dataclasses import replace
 
@@ -203,3 +205,18 @@ def test_after_reruns_the_board_is_as_if_it_had_been_so_from_the_start(
         scores, left = tries[-1]
         straight.attempt(name, *scores, forfeit=left)
     assert essence(again.board()) == essence(straight.board())
+
+
+def test_boards_that_are_old_leave_the_memory_at_once() -> None:
+    made = Made(["alice"])
+    made.attempt("alice", 1.0)
+    boards = Boards(made.course, made.outcomes, made.verdicts, made.now)
+    for viewer in (PUBLIC, ORGANISER, "alice"):
+        boards.seen_by(viewer)
+    old = weakref.ref(boards)
+    gc.disable()
+    try:
+        del boards
+        assert old() is None
+    finally:
+        gc.enable()
