@@ -222,10 +222,7 @@ ACTS: Final = (
     _act("close", "End the season in DIR: what waits is cancelled, what plays is played to its end."),
     _act("freeze", "Stop the public board of the season in DIR from changing; the organiser's still does."),
     _act(
-        "grant",
-        "Grant an entrant of the season in DIR further attempts, on whatever day.",
-        _ENTRANT,
-        _NUMBER,
+        "grant", "Grant an entrant of the season in DIR further attempts, on whatever day.", _ENTRANT, _NUMBER
     ),
     _act(
         "pause",

@@ -18,7 +18,7 @@ import itertools
 import math
 import re
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -27,7 +27,7 @@ from typing import Any, Final
 from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.course import IMAGE_ID, Course, course_of, entrant_of
 from experiment_runner.competition.match import NOT_CONNECTED, Match
-from experiment_runner.competition.organiser import Matches, Say, log_path
+from experiment_runner.competition.organiser import Matches, Say, matches
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act, act
 from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
@@ -51,7 +51,6 @@ from experiment_runner.competition.trials import attempt_trials, levels
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.store import Store
 from glue.console import one_line
@@ -99,9 +98,9 @@ class _Slot:
         attempt: the attempt.
         entrant: who plays it.
         number: of the slot, from 0.
-        specs: of its trials, by id, in their order.
-        left: ids of the trials that are not over, in their order.
-        unverified: ids of the trials that are over, and not verified yet.
+        trials: ids of its trials, in their order.
+        left: ids of those that are not over.
+        unverified: ids of those that are over, and not verified yet.
         resumed: whether its first trial is played again after a restart of this server, which its program may
             not have survived.
         forfeit: why it is forfeited; empty if it is not.
@@ -111,7 +110,7 @@ class _Slot:
     attempt: Attempt
     entrant: Entrant
     number: int
-    specs: Mapping[str, TrialSpec]
+    trials: Sequence[str]
     left: deque[str]
     unverified: set[str]
     resumed: bool
@@ -183,9 +182,7 @@ class Server(Matches):
         for one in course.acts:
             if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
                 self._admit(one)
-        self._steps = {task.name: task.steps for task in competition.proving}
         self._directory = store.directory.absolute()
-        self._run = name_of_run(self._directory)
         self._dispatcher: Dispatcher | None = None
         self._slots: dict[str, _Slot] = {}
         self._until: dict[str, float] = {}
@@ -232,7 +229,7 @@ class Server(Matches):
         """Go on with the attempts that were played when the server before this one ended."""
         self._dispatcher = dispatcher
         for name in self._named:
-            starter_for(self._player(self._state.entrants[name].act)).sweep(self._run)
+            starter_for(self._player(self._state.entrants[name].act)).sweep(name_of_run(self._directory))
         playing = {(one.entrant, one.number) for one in self._state.attempts("playing")}
         outcomes, verdicts = (self._store.outcomes(), self._store.verdicts()) if playing else ({}, {})
         for one in list(self._acts):
@@ -368,8 +365,7 @@ class Server(Matches):
         if one.state == "playing":
             if slot is None or not slot.left:
                 return {"state": "verifying", **reply}
-            done = len(slot.specs) - len(slot.left)
-            reply |= {"trial": done + 1, "trials": len(slot.specs), "session": name}
+            reply |= {**_progress(slot), "session": name}
             if slot.entrant.key is not None and self._gate is not None:
                 reply["hub"] = gate_of(self._gate, slot.number).bind
             return {"state": "playing", **reply}
@@ -433,8 +429,7 @@ class Server(Matches):
                 "entrant": name,
                 "attempt": slot.attempt.number,
                 "state": "playing" if slot.left else "verifying",
-                "trial": min(len(slot.specs) - len(slot.left) + 1, len(slot.specs)),
-                "trials": len(slot.specs),
+                **_progress(slot),
                 "slot": slot.number,
             }
             for name, slot in self._slots.items()
@@ -560,13 +555,16 @@ class Server(Matches):
         specs = attempt_trials(self._levels, self._competition.trials, start)
         if not resumed:
             add_trials(self._store, specs)
+        competition = replace(self._competition, entrants=(entrant,))
+        gate = None if self._gate is None else gate_of(self._gate, int(start.value))
         ids = [str(spec.id) for spec in specs]
+        self.matches |= zip(ids, matches(competition, specs, self._directory, gate), strict=True)
         verified = {trial_id for trial_id, verdict in verdicts.items() if verdict.problem is None}
         slot = _Slot(
             self._state.attempt(name, start.number),
             entrant,
             int(start.value),
-            dict(zip(ids, specs, strict=True)),
+            ids,
             deque(trial_id for trial_id in ids if trial_id not in outcomes),
             {trial_id for trial_id in ids if trial_id in outcomes} - verified,
             resumed,
@@ -576,34 +574,27 @@ class Server(Matches):
             if trial_id in outcomes:
                 self._note_forfeit(slot, trial_id, outcomes[trial_id])
         for trial_id in slot.unverified:
-            self._verify(slot, trial_id, outcomes[trial_id])
+            self._verify(trial_id, outcomes[trial_id])
 
     def _go_on(self, slot: _Slot) -> None:
         """Play the next trial of an attempt, or end the attempt when there is none."""
-        assert self._dispatcher is not None
         if not slot.left and not slot.unverified:
             self._end(slot)
         elif slot.left and not slot.playing:
             slot.playing = True
-            self._play(slot, slot.left[0])
+            self._add(slot.left[0])
 
-    def _play(self, slot: _Slot, trial_id: str) -> None:
-        assert self._dispatcher is not None
-        spec, limits = slot.specs[trial_id], self._competition.limits
-        gate = None if self._gate is None else gate_of(self._gate, slot.number)
-        steps, log = self._steps[spec.id.parts[1]], log_path(self._directory, trial_id)
-        self.matches[trial_id] = Match(spec, slot.entrant, limits, steps, log, self._run, gate)
-        self._until[trial_id] = (
-            self._clock() + 2 * limits.start_seconds + limits.total_seconds + _SLACK_SECONDS
-        )
-        self._dispatcher.add(trial_id)
+    def _verify(self, trial_id: str, outcome: TrialEnd) -> None:
+        played = self.matches[trial_id]
+        self._replays[trial_id] = Replay(self._directory, played.spec, outcome, played.steps)
+        self._add(trial_id)
 
-    def _verify(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
+    def _add(self, trial_id: str) -> None:
+        """Let a trial be played, or replayed."""
         assert self._dispatcher is not None
-        spec = slot.specs[trial_id]
-        steps = self._steps[spec.id.parts[1]]
-        self._replays[trial_id] = Replay(self._directory, spec, outcome, steps)
-        self._until[trial_id] = self._clock() + self._competition.limits.total_seconds + _SLACK_SECONDS
+        limits = self._competition.limits
+        seconds = 2 * limits.start_seconds + limits.total_seconds + _SLACK_SECONDS
+        self._until[trial_id] = self._clock() + seconds
         self._dispatcher.add(trial_id)
 
     def _note_forfeit(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
@@ -641,7 +632,7 @@ class Server(Matches):
         """Take the slot from an attempt that is no longer played."""
         assert self._dispatcher is not None
         del self._slots[slot.entrant.name]
-        for trial_id in slot.specs:
+        for trial_id in slot.trials:
             self._dispatcher.cancel(trial_id)
             self._until.pop(trial_id, None)
             self._replays.pop(trial_id, None)
@@ -695,8 +686,14 @@ class Server(Matches):
             slot.left.popleft()
             slot.playing = False
             slot.unverified.add(trial_id)
-            self._verify(slot, trial_id, outcome)
+            self._verify(trial_id, outcome)
             self._go_on(slot)
+
+
+def _progress(slot: _Slot) -> dict[str, int]:
+    """Return which trial of an attempt is played or was last, from 1, and how many there are."""
+    count = len(slot.trials)
+    return {"trial": min(count - len(slot.left) + 1, count), "trials": count}
 
 
 def _line(one: Act) -> str:

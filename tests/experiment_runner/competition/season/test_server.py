@@ -90,9 +90,7 @@ def test_a_quota_is_used_up_and_returns(season: Season) -> None:
     assert season.attempt("alice") == 5
 
 
-def test_a_waiting_attempt_whose_program_stops_asking_is_cancelled_and_costs_nothing(
-    season: Season,
-) -> None:
+def test_a_waiting_attempt_whose_program_stops_asking_is_cancelled_and_costs_nothing(season: Season) -> None:
     season.enrol("alice")
     season.act("pause")
     assert season.ask(Attempt("alice")) == {"state": "waiting", "attempt": 1, "place": 1, "why": "because"}
