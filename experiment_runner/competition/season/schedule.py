@@ -61,19 +61,26 @@ def returns_at(state: SeasonState, now: datetime) -> datetime | None:
     return midnight if midnight < state.season.closes else None
 
 
+def check_not_over(state: SeasonState, now: datetime) -> None:
+    """Check that entrants can still ask for something.
+
+    Raises:
+        ExperimentError: the season is over.
+    """
+    if state.closed is not None or now >= state.season.closes:
+        raise ExperimentError(f"the season closed at {state.closed or state.season.closes}")
+
+
 def request(state: SeasonState, name: str, now: datetime) -> Act:
     """Return the act of queueing an entrant's next attempt.
 
     Raises:
         ExperimentError: there is no such entrant, or it cannot ask for one now; the message says why.
     """
-    entrant, season = state.entrant(name), state.season
-    if state.closed is not None or now >= season.closes:
-        raise ExperimentError(f"the season closed at {state.closed or season.closes}")
+    check_not_over(state, now)
+    entrant, season = state.taking_part(name), state.season
     if now < season.opens:
         raise ExperimentError(f"the season opens at {season.opens}")
-    if entrant.excluded:
-        raise ExperimentError(f"{name} is excluded: {entrant.excluded}")
     if entrant.paused:
         raise ExperimentError(f"{name} is paused: {entrant.paused}")
     if len(entrant.waiting) >= season.most_waiting:

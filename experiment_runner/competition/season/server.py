@@ -100,11 +100,9 @@ class _Slot:
         number: of the slot, from 0.
         trials: ids of its trials, in their order.
         left: ids of those that are not over.
-        unverified: ids of those that are over, and not verified yet.
         resumed: whether its first trial is played again after a restart of this server, which its program may
             not have survived.
         forfeit: why it is forfeited; empty if it is not.
-        playing: whether the first of `left` is played.
     """
 
     attempt: Attempt
@@ -112,10 +110,8 @@ class _Slot:
     number: int
     trials: Sequence[str]
     left: deque[str]
-    unverified: set[str]
     resumed: bool
     forfeit: str = ""
-    playing: bool = False
 
 
 def gate_of(gate: Gate, slot: int) -> Gate:
@@ -231,7 +227,7 @@ class Server(Matches):
         for name in self._named:
             starter_for(self._player(self._state.entrants[name].act)).sweep(name_of_run(self._directory))
         playing = {(one.entrant, one.number) for one in self._state.attempts("playing")}
-        outcomes, verdicts = (self._store.outcomes(), self._store.verdicts()) if playing else ({}, {})
+        outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
         for one in list(self._acts):
             if one.act == journal.START and (one.subject, one.number) in playing:
                 self._take_slot(one, outcomes, verdicts, resumed=True)
@@ -281,7 +277,7 @@ class Server(Matches):
         season, name = self._state.season, wanted.name
         if season.enrol == "closed" or self._gate is None:
             raise ExperimentError("nobody can enrol: ask the organiser")
-        self._check_not_over()
+        schedule.check_not_over(self._state, self._now())
         if season.enrol == "code" and not (
             self._code and hmac.compare_digest(self._code.encode(), wanted.code.encode())
         ):
@@ -302,10 +298,6 @@ class Server(Matches):
             self._record(act(journal.ENROL, name, "", now=self._now(), player=f"{name}.key", id=key, **more))
         hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
         return {"hub_key": hub_key, "token": token, "alias": self._state.entrants[name].act.alias}
-
-    def _check_not_over(self) -> None:
-        if self._state.closed is not None or self._now() >= self._state.season.closes:
-            raise ExperimentError("the season is over")
 
     def _check_new(self, name: str, key: str) -> None:
         if ("name", name.casefold()) in self._taken:
@@ -329,9 +321,7 @@ class Server(Matches):
         return hmac.digest(self._secret, "\0".join(names).encode(), hashlib.sha256)
 
     def _attempt(self, name: str, number: int) -> Reply:
-        entrant = self._state.entrant(name)
-        if entrant.excluded:
-            raise ExperimentError(f"{name} is excluded: {entrant.excluded}")
+        entrant = self._state.taking_part(name)
         if not self._present(name):
             self._looked -= _LOOK_SECONDS
         self._seen[name] = self._clock()
@@ -410,12 +400,10 @@ class Server(Matches):
         return {}
 
     def _submit(self, wanted: control.Submit) -> Reply:
-        entrant = self._state.entrant(wanted.entrant)
+        self._state.taking_part(wanted.entrant)
         if not self._state.season.images:
             raise ExperimentError("no images are accepted in this season")
-        self._check_not_over()
-        if entrant.excluded:
-            raise ExperimentError(f"{wanted.entrant} is excluded: {entrant.excluded}")
+        schedule.check_not_over(self._state, self._now())
         if not IMAGE_ID.fullmatch(wanted.image):
             raise ExperimentError(f"{wanted.image!r:.80} is not the id of an image")
         name = one_line(wanted.name, _MAX_NAME)
@@ -559,30 +547,26 @@ class Server(Matches):
         gate = None if self._gate is None else gate_of(self._gate, int(start.value))
         ids = [str(spec.id) for spec in specs]
         self.matches |= zip(ids, matches(competition, specs, self._directory, gate), strict=True)
-        verified = {trial_id for trial_id, verdict in verdicts.items() if verdict.problem is None}
         slot = _Slot(
             self._state.attempt(name, start.number),
             entrant,
             int(start.value),
             ids,
             deque(trial_id for trial_id in ids if trial_id not in outcomes),
-            {trial_id for trial_id in ids if trial_id in outcomes} - verified,
             resumed,
         )
         self._slots[name] = slot
-        for trial_id in ids:
-            if trial_id in outcomes:
-                self._note_forfeit(slot, trial_id, outcomes[trial_id])
-        for trial_id in slot.unverified:
-            self._verify(trial_id, outcomes[trial_id])
+        for trial_id in (one for one in ids if one in outcomes):
+            self._note_forfeit(slot, trial_id, outcomes[trial_id])
+            if trial_id not in verdicts or verdicts[trial_id].problem is not None:
+                self._verify(trial_id, outcomes[trial_id])
 
     def _go_on(self, slot: _Slot) -> None:
         """Play the next trial of an attempt, or end the attempt when there is none."""
-        if not slot.left and not slot.unverified:
-            self._end(slot)
-        elif slot.left and not slot.playing:
-            slot.playing = True
+        if slot.left and slot.left[0] not in self._until:
             self._add(slot.left[0])
+        elif not slot.left and self._replays.keys().isdisjoint(slot.trials):
+            self._end(slot)
 
     def _verify(self, trial_id: str, outcome: TrialEnd) -> None:
         played = self.matches[trial_id]
@@ -671,7 +655,6 @@ class Server(Matches):
         elif replayed:
             verdict = self._verified.pop(trial_id)
             record_verdict(self._store, trial_id, verdict)
-            slot.unverified.remove(trial_id)
             if verdict.problem is not None:
                 self._fail(slot, f"{trial_id} could not be verified: {verdict.problem}")
             else:
@@ -684,8 +667,6 @@ class Server(Matches):
             slot.resumed = False
             self._note_forfeit(slot, trial_id, outcome)
             slot.left.popleft()
-            slot.playing = False
-            slot.unverified.add(trial_id)
             self._verify(trial_id, outcome)
             self._go_on(slot)
 

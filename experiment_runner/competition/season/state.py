@@ -198,6 +198,17 @@ class SeasonState:
             raise ExperimentError(f"there is no entrant {name:.80}")
         return self.entrants[name]
 
+    def taking_part(self, name: str) -> Enrolled:
+        """Return an entrant that is not excluded.
+
+        Raises:
+            ExperimentError: it is, or there is none of this name.
+        """
+        entrant = self.entrant(name)
+        if entrant.excluded:
+            raise ExperimentError(f"{name} is excluded: {entrant.excluded}")
+        return entrant
+
     def attempt(self, name: str, number: int) -> Attempt:
         """Return an attempt.
 

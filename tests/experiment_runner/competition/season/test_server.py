@@ -344,7 +344,7 @@ def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(tmp_path: Path) -
         (job,) = made.executor.jobs.values()
         assert job.entrant.id == "sha256:" + 64 * "0"
         made.act("close")  # what has proved itself plays the testing tasks
-        with pytest.raises(ExperimentError, match="the season is over"):
+        with pytest.raises(ExperimentError, match="the season closed"):
             made.ask(alice)
 
 
