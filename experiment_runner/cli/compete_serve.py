@@ -13,14 +13,13 @@ from typing import Any, Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY, naming_out
+from experiment_runner.cli.options import DIRECTORY, FILE, check_address, naming_out
 from experiment_runner.plan.limits import Backend
 from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError
 from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
 
-_READ = click.Path(path_type=Path, dir_okay=False)
 _DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
 
@@ -42,7 +41,7 @@ _WHY: Final = click.option(
 
 
 @click.command()
-@click.argument("file", type=_READ, metavar="FILE")
+@click.argument("file", type=FILE, metavar="FILE")
 @click.option(
     "--out",
     type=DIRECTORY,
@@ -107,14 +106,10 @@ def serve(
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_code, read_secret
     from experiment_runner.executors.opening import kept_if_begun
-    from experiment_runner.executors.ray_cluster import parse_address
     from experiment_runner.view.launch import check_view, season_viewed
 
     log = say if log_format == "text" else _log_json
-    if address is not None:
-        if engine != Backend.RAY.value:
-            raise ConfigError("--address is the address of a Ray cluster: add --engine ray")
-        parse_address(address)
+    check_address(Backend(engine), address)
     if page is not None:
         check_view("page")
     competition = load_competition(file)
@@ -149,7 +144,7 @@ def _log_json(line: str) -> None:
 
 @click.command()
 @_DIRECTORY
-@click.argument("file", type=_READ, metavar="FILE")
+@click.argument("file", type=FILE, metavar="FILE")
 @_WHY
 def add(directory: Path, file: Path, why: str) -> None:
     """Add the entrants of FILE that the run in DIR does not have yet.

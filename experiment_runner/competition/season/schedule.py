@@ -10,6 +10,7 @@ from collections.abc import Callable
 from datetime import datetime, time, timedelta
 
 from experiment_runner.competition.records.journal import REQUEST, Act, act
+from experiment_runner.competition.season.control import TryLater
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from glue.errors import ExperimentError
 
@@ -75,6 +76,7 @@ def request(state: SeasonState, name: str, now: datetime) -> Act:
     """Return the act of queueing an entrant's next attempt.
 
     Raises:
+        TryLater: it has used its attempts of today.
         ExperimentError: there is no such entrant, or it cannot ask for one now; the message says why.
     """
     check_not_over(state, now)
@@ -86,9 +88,8 @@ def request(state: SeasonState, name: str, now: datetime) -> Act:
     if len(entrant.waiting) >= season.most_waiting:
         raise ExperimentError(f"{season.most_waiting} attempts of {name} wait already")
     if left(state, entrant, now) < 1:
-        again = returns_at(state, now)
-        raise ExperimentError(
-            f"{name} has used its {season.attempts_per_day} attempts of today"
-            + ("" if again is None else f"; the next day begins at {again}")
-        )
+        used = f"{name} has used its {season.attempts_per_day} attempts of today"
+        if (again := returns_at(state, now)) is None:
+            raise ExperimentError(used)
+        raise TryLater(f"{used}; the next day begins at {again}", (again - now).total_seconds())
     return act(REQUEST, name, "", now=now, number=len(entrant.attempts) + 1)

@@ -35,7 +35,7 @@ from experiment_runner.competition.season import control, schedule
 from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
-from experiment_runner.competition.season.control import Door, Reply, Request, TryLater
+from experiment_runner.competition.season.control import Door, Reply, Request
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.season.worker import Replay, Verified
 from experiment_runner.competition.settings import (
@@ -332,14 +332,7 @@ class Server(Matches):
             return self._shown(entrant, one)
         under_way = entrant.playing or next(iter(entrant.waiting), None)
         if under_way is None:
-            now = self._now()
-            try:
-                self._record(schedule.request(self._state, name, now))
-            except ExperimentError as error:
-                returns = schedule.returns_at(self._state, now)
-                if schedule.left(self._state, entrant, now) or returns is None:
-                    raise
-                raise TryLater(str(error), (returns - now).total_seconds()) from None
+            self._record(schedule.request(self._state, name, self._now()))
             self._look(True)
             under_way = entrant.playing or entrant.waiting[0]
         return self._shown(entrant, under_way)
