@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from experiment_runner.cli.compete_entrants import COMMANDS
-from experiment_runner.cli.compete_serve import ACTS, serve
+from experiment_runner.cli.compete_serve import ACTS, KEPT, serve
 from experiment_runner.cli.options import DIRECTORY, FILE, naming_out
 from experiment_runner.cli.season_page import page
 from experiment_runner.view.launch import check_view, viewed
@@ -110,10 +110,7 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     secret = read_secret(competition, os.environ, say)
     text = read_text(file, follow=True)
 
-    def kept() -> None:
-        say("nothing is lost: start the same command again")
-
-    with kept_if_begun(out, kept), ExitStack() as stack:
+    with kept_if_begun(out, lambda: say(KEPT)), ExitStack() as stack:
         with naming_out():
             store = stack.enter_context(open_competition(out, text, competition, secret))
         wait = stack.enter_context(viewed(out, say)) if view else None

@@ -20,6 +20,8 @@ from glue.errors import ConfigError, ExperimentError
 from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
 
+KEPT: Final = "nothing is lost: start the same command again"
+
 _DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
 
@@ -120,10 +122,7 @@ def serve(
     gate = None if keys is None else Gate(bind, keys.absolute())
     check_gate(competition, gate)
 
-    def kept() -> None:
-        log("nothing is lost: start the same command again")
-
-    with kept_if_begun(out, kept), ExitStack() as stack:
+    with kept_if_begun(out, lambda: log(KEPT)), ExitStack() as stack:
         with naming_out():
             text = read_text(file, follow=True)
             store = stack.enter_context(open_competition(out, text, competition, secret))

@@ -56,7 +56,11 @@ class TryLater(ExperimentError):
         self.retry_after = retry_after
 
 
-class Organise(msgspec.Struct, tag_field="do", tag="act", forbid_unknown_fields=True):
+class _Request(msgspec.Struct, tag_field="do", tag=str.lower, forbid_unknown_fields=True):
+    pass
+
+
+class Organise(_Request, tag="act"):
     """An act of the organiser; see `experiment_runner.competition.season.acts`.
 
     Args:
@@ -74,7 +78,7 @@ class Organise(msgspec.Struct, tag_field="do", tag="act", forbid_unknown_fields=
     file: str = ""
 
 
-class Enrol(msgspec.Struct, tag_field="do", tag="enrol", forbid_unknown_fields=True):
+class Enrol(_Request):
     """A stranger wants to take part.
 
     Args:
@@ -90,7 +94,7 @@ class Enrol(msgspec.Struct, tag_field="do", tag="enrol", forbid_unknown_fields=T
     team: str = ""
 
 
-class Attempt(msgspec.Struct, tag_field="do", tag="attempt", forbid_unknown_fields=True):
+class Attempt(_Request):
     """An entrant wants to play, or asks how its attempt goes.
 
     Args:
@@ -102,20 +106,20 @@ class Attempt(msgspec.Struct, tag_field="do", tag="attempt", forbid_unknown_fiel
     attempt: int = 0
 
 
-class Key(msgspec.Struct, tag_field="do", tag="key", forbid_unknown_fields=True):
+class Key(_Request):
     """The public key with which an entrant's requests are signed is asked for."""
 
     entrant: str
 
 
-class Withdraw(msgspec.Struct, tag_field="do", tag="withdraw", forbid_unknown_fields=True):
+class Withdraw(_Request):
     """An entrant takes an attempt off the board."""
 
     entrant: str
     attempt: int
 
 
-class Submit(msgspec.Struct, tag_field="do", tag="submit", forbid_unknown_fields=True):
+class Submit(_Request):
     """An entrant has uploaded an image, which plays its attempts from now on.
 
     Args:
@@ -129,7 +133,7 @@ class Submit(msgspec.Struct, tag_field="do", tag="submit", forbid_unknown_fields
     name: str
 
 
-class Status(msgspec.Struct, tag_field="do", tag="status", forbid_unknown_fields=True):
+class Status(_Request):
     """What plays, and what waits."""
 
 

@@ -194,7 +194,7 @@ class Server(Matches):
         self._slots_rest: dict[int, float] = {}
         """When each slot in which an attempt failed may be used again: its port may be taken."""
         self._began = clock()
-        self._looked = self._began - _LOOK_SECONDS
+        self._looked = -math.inf
         self._started = now()
         self._boards: Boards | None = None
         self._boards_of = 0  # the number of acts in it
@@ -323,7 +323,7 @@ class Server(Matches):
     def _attempt(self, name: str, number: int) -> Reply:
         entrant = self._state.taking_part(name)
         if not self._present(name):
-            self._looked -= _LOOK_SECONDS
+            self._looked = -math.inf
         self._seen[name] = self._clock()
         if number:
             one = self._state.attempt(name, number)
@@ -333,7 +333,7 @@ class Server(Matches):
         under_way = entrant.playing or next(iter(entrant.waiting), None)
         if under_way is None:
             self._record(schedule.request(self._state, name, self._now()))
-            self._look(True)
+            self._look()
             under_way = entrant.playing or entrant.waiting[0]
         return self._shown(entrant, under_way)
 
@@ -455,12 +455,12 @@ class Server(Matches):
         for slot in list(self._slots.values()):
             if self._state.attempt(slot.entrant.name, slot.attempt.number).state != "playing":
                 self._leave(slot)
-        self._looked = self._clock() - _LOOK_SECONDS
+        self._looked = -math.inf
 
-    def _look(self, now: bool = False) -> None:
+    def _look(self) -> None:
         """See, once a second and after each act, what can start, and what has taken too long."""
         clock = self._clock()
-        if not now and clock - self._looked < _LOOK_SECONDS:
+        if clock - self._looked < _LOOK_SECONDS:
             return
         self._looked = clock
         state, time = self._state, self._now()

@@ -185,8 +185,21 @@ class SeasonState:
                 self._queue(one)
             case journal.START | journal.OVER | journal.OURS | journal.CANCEL | journal.WITHDRAW:
                 self._move(one)
+            case journal.EXCLUDE:
+                self.entrant(one.subject).excluded = one.reason
+            case journal.READMIT:
+                self.entrant(one.subject).excluded = ""
+            case journal.GRANT:
+                self.entrant(one.subject).granted += one.number
+            case journal.PAUSE:
+                self.entrant(one.subject).paused = one.reason
+            case journal.RESUME | journal.IMAGE:
+                entrant = self.entrant(one.subject)
+                entrant.paused, entrant.failed = "", 0
+                if one.act == journal.IMAGE:
+                    entrant.act = replace(entrant.act, player=one.player, id=one.id)
             case _:
-                self._about(one)
+                raise ExperimentError(f"the journal has an act {one.act!r:.80}, which there is not")
 
     def entrant(self, name: str) -> Enrolled:
         """Return an entrant.
@@ -236,26 +249,6 @@ class SeasonState:
             return None
         freeze = self.season.freeze
         return freeze if self.frozen is None and freeze is not None and freeze <= now else self.frozen
-
-    def _about(self, one: Act) -> None:
-        """Take an act about an entrant into account."""
-        entrant = self.entrant(one.subject)
-        match one.act:
-            case journal.EXCLUDE:
-                entrant.excluded = one.reason
-            case journal.READMIT:
-                entrant.excluded = ""
-            case journal.PAUSE:
-                entrant.paused = one.reason
-            case journal.RESUME:
-                entrant.paused, entrant.failed = "", 0
-            case journal.IMAGE:
-                entrant.act = replace(entrant.act, player=one.player, id=one.id)
-                entrant.paused, entrant.failed = "", 0
-            case journal.GRANT:
-                entrant.granted += one.number
-            case _:
-                raise ExperimentError(f"the journal has an act {one.act!r:.80}, which there is not")
 
     def _queue(self, one: Act) -> None:
         entrant = self.entrant(one.subject)
