@@ -30,6 +30,8 @@ from tests.scripted.peer import TIMEOUT, ScriptedPeer
 RECORDED: Final = Path(__file__).parents[1] / "golden/conversation.jsonl"
 ROLES: Final = ("agent", "environment", "experiment")
 CONFIG: Final = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.5, timeout=60.0)
+_NEWER: Final = ("extras", "mask", "outcome", "truncate")
+"""Capabilities that the first hub does not know, and ignores."""
 
 
 class Event(NamedTuple):
@@ -93,10 +95,6 @@ def run_verbs(url: str) -> None:
         glue.rl_cleanup()
 
 
-NEWER = ("extras", "mask", "outcome", "truncate")
-"""Capabilities that today's peers offer and those of the recording did not."""
-
-
 def test_todays_peers_answer_the_first_hub_to_the_byte() -> None:
     greetings: dict[str, int] = {}
     with ExitStack() as ending:
@@ -117,8 +115,7 @@ def test_todays_peers_answer_the_first_hub_to_the_byte() -> None:
                 greetings[event.role] = hello[2]
                 for varying in (2, 5, 7):  # the number, the instance, the version of Python
                     hello[varying] = expected[varying]
-                # the first hub knows no such capabilities, and ignores them
-                hello[8] = [name for name in hello[8] if name not in NEWER]
+                hello[8] = [name for name in hello[8] if name not in _NEWER]
                 assert hello == expected
             else:
                 assert frames == event.frames
