@@ -14,7 +14,9 @@ agent: click.Group = player_command(
     Role.AGENT,
     "  glue-agent hierarchical\n"
     "  glue-agent sarsa --step-size 0.1 --hub tcp://127.0.0.1:5000\n"
-    "  glue-agent hierarchical --load mario.agent --no-learning --epsilon 0",
+    "  glue-agent hierarchical --load mario.agent --no-learning --epsilon 0\n"
+    "  glue-agent my.py:Agent --season season.toml\n"
+    "  glue-agent --season season.toml ./my-program",
     Extra(
         click.Option(
             ["--load", "_load"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
@@ -169,15 +169,6 @@ def exclude(directory: Path, entrants: tuple[str, ...], why: str) -> None:
 
 @click.command()
 @_DIRECTORY
-@click.argument("entrant", metavar="ENTRANT")
-@_WHY
-def readmit(directory: Path, entrant: str, why: str) -> None:
-    """Put an entrant that was excluded from the run in DIR back on the board."""
-    organise(directory, "readmit", subject=entrant, why=why)
-
-
-@click.command()
-@_DIRECTORY
 @click.argument("which", nargs=-1, required=True, metavar="TRIAL... | ENTRANT [ATTEMPT]")
 @_WHY
 def rerun(directory: Path, which: tuple[str, ...], why: str) -> None:
@@ -199,65 +190,50 @@ def rerun(directory: Path, which: tuple[str, ...], why: str) -> None:
 
 @click.command()
 @_DIRECTORY
-@click.argument("entrant", metavar="ENTRANT")
-@click.argument("number", type=click.IntRange(1, 10_000), metavar="N")
-@_WHY
-def grant(directory: Path, entrant: str, number: int, why: str) -> None:
-    """Grant an entrant of the season in DIR further attempts, on whatever day."""
-    organise(directory, "grant", subject=entrant, why=why, number=number)
-
-
-@click.command()
-@_DIRECTORY
-@click.argument("entrant", default="", metavar="[ENTRANT]")
-@_WHY
-def pause(directory: Path, entrant: str, why: str) -> None:
-    """Start no more attempts of an entrant of the season in DIR, or of anybody; what plays goes on."""
-    organise(directory, "pause", subject=entrant, why=why)
-
-
-@click.command()
-@_DIRECTORY
-@click.argument("entrant", default="", metavar="[ENTRANT]")
-@_WHY
-def resume(directory: Path, entrant: str, why: str) -> None:
-    """End a pause of an entrant of the season in DIR, or of the whole season."""
-    organise(directory, "resume", subject=entrant, why=why)
-
-
-@click.command()
-@_DIRECTORY
-@_WHY
-def freeze(directory: Path, why: str) -> None:
-    """Stop the public board of the season in DIR from changing; the organiser's still does."""
-    organise(directory, "freeze", why=why)
-
-
-@click.command()
-@_DIRECTORY
-@_WHY
-def thaw(directory: Path, why: str) -> None:
-    """Let the public board of the season in DIR show everything again."""
-    organise(directory, "thaw", why=why)
-
-
-@click.command()
-@_DIRECTORY
 @click.argument("text", callback=_reason, metavar="TEXT")
 def announce(directory: Path, text: str) -> None:
     """Show a line of text on the board of the run in DIR."""
     organise(directory, "announce", why=text)
 
 
-@click.command()
-@_DIRECTORY
-@_WHY
-def close(directory: Path, why: str) -> None:
-    """End the season in DIR: what waits is cancelled, what plays is played to its end."""
-    organise(directory, "close", why=why)
+def _act(kind: str, summary: str, *arguments: Callable[[click.Command], click.Command]) -> click.Command:
+    """Return the command of an act, whose arguments are those of `control.Organise`."""
+
+    def carry_out(directory: Path, why: str, **wish: Any) -> None:
+        organise(directory, kind, why=why, **wish)
+
+    command = click.command(kind, help=summary)(_DIRECTORY(_WHY(carry_out)))
+    for argument in arguments:
+        argument(command)
+    return command
 
 
-ACTS: Final = (add, announce, close, exclude, freeze, grant, pause, readmit, rerun, resume, thaw)
+_ENTRANT: Final = click.argument("subject", metavar="ENTRANT")
+_ANYBODY: Final = click.argument("subject", default="", metavar="[ENTRANT]")
+_NUMBER: Final = click.argument("number", type=click.IntRange(1, 10_000), metavar="N")
+
+ACTS: Final = (
+    add,
+    announce,
+    exclude,
+    rerun,
+    _act("close", "End the season in DIR: what waits is cancelled, what plays is played to its end."),
+    _act("freeze", "Stop the public board of the season in DIR from changing; the organiser's still does."),
+    _act(
+        "grant",
+        "Grant an entrant of the season in DIR further attempts, on whatever day.",
+        _ENTRANT,
+        _NUMBER,
+    ),
+    _act(
+        "pause",
+        "Start no more attempts of an entrant of the season in DIR, or of anybody; what plays goes on.",
+        _ANYBODY,
+    ),
+    _act("readmit", "Put an entrant that was excluded from the run in DIR back on the board.", _ENTRANT),
+    _act("resume", "End a pause of an entrant of the season in DIR, or of the whole season.", _ANYBODY),
+    _act("thaw", "Let the public board of the season in DIR show everything again."),
+)
 
 
 def organise(directory: Path, kind: str, **wish: Any) -> None:

@@ -80,7 +80,11 @@ def _repository(folder: Path) -> dict[str, object] | None:
 def _git(*arguments: str, folder: Path) -> str | None:
     try:
         done = subprocess.run(
-            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=_GIT_SECONDS
+            # Without its lock on the index, which a kill would leave in the user's repository.
+            ["git", "--no-optional-locks", "-C", str(folder), *arguments],
+            capture_output=True,
+            text=True,
+            timeout=_GIT_SECONDS,
         )
     except (OSError, subprocess.TimeoutExpired):
         return None

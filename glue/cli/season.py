@@ -47,6 +47,7 @@ def play_agents(file: Path, make: Callable[[], Any], name: str) -> None:
         GlueError: as `Season.play`.
     """
     from glue.client.players import serve_agent
+    from glue.keys.certificates import encode
 
     def serve(target: Target, on: Callable[[], bool]) -> None:
         agent, key = make(), target.key
@@ -65,8 +66,6 @@ def play_agents(file: Path, make: Callable[[], Any], name: str) -> None:
         except GlueError as error:
             say(f"Error: {error}")  # the trial is forfeited, but not the next one
 
-    from glue.keys.certificates import encode
-
     _play(file, serve)
 
 
@@ -79,6 +78,8 @@ def play_programs(file: Path, command: Sequence[str]) -> None:
         ConfigError: there is no such program.
         GlueError: as `Season.play`.
     """
+    from glue.system import clock
+
     if command and shutil.which(command[0]) is None:
         raise ConfigError(f"there is no program {command[0]!r} here: name it with its path, as in ./agent")
 
@@ -92,8 +93,6 @@ def play_programs(file: Path, command: Sequence[str]) -> None:
                 click.echo(f"export {name}={value}")
             while on():
                 clock.sleep(_LOOK_SECONDS)
-
-    from glue.system import clock
 
     _play(file, serve)
 

@@ -42,6 +42,9 @@ _SECONDS: Final = 60.0
 
 _MOST_BYTES: Final = 2**20
 _MOST_SHOWN: Final = 300
+_MOST_FAILURES: Final = 3
+"""Attempts in a row that may fail for a reason of the season's."""
+
 _MOST_BYTES_OF_FILE: Final = 2**16
 _POLL_SECONDS: Final = 1.0
 _LONGEST_POLL: Final = 10.0
@@ -262,11 +265,21 @@ class Season:
             SeasonRefused: no attempt is granted now.
             SeasonBusy: the page has not answered for a long time.
         """
-        reply, told = self._attempt(0, say), ""
-        number = int(reply["attempt"])
+        for _ in range(_MOST_FAILURES):
+            reply = self._follow(self._attempt(0, say), serve, say)
+            if reply.get("outcome") != "ours":
+                break
+            say(f"{result(reply)}; it does not count")
+        return reply
+
+    def _follow(self, reply: Reply, serve: Serve, say: Callable[[str], None]) -> Reply:
+        """Play the attempt that a reply is about; return the reply when it is over."""
+        number, told = int(reply["attempt"]), ""
         while reply["state"] != "over":
             if reply["state"] == "playing":
                 line = f"attempt {number}, trial {reply.get('trial')} of {reply.get('trials')}"
+            elif reply["state"] == "waiting" and reply.get("why"):
+                line = f"attempt {number} waits, and nothing is played now: {reply['why']}"
             elif reply["state"] == "waiting":
                 line = f"attempt {number} waits, place {reply.get('place')} in the queue"
             else:

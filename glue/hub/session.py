@@ -21,7 +21,7 @@ from glue.hub.channel import Channel, Memory
 from glue.hub.observers import Observers
 from glue.hub.timing import SlowCalls, TimeBank
 from glue.pace import Pace
-from glue.types import BESIDE_AT, CUT_OFF, NOTHING_BESIDE, Action, has_beside
+from glue.types import BESIDE_AT, CUT_OFF, NOTHING_BESIDE, Action
 from glue.wire.beside import beside_without, readable, readable_by_agent
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
@@ -43,9 +43,6 @@ _RL_ENV_STEP: Final = Kind.RL_ENV_STEP
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
-
-_SHOWING: Final = frozenset({Kind.RL_AGENT_START, Kind.RL_AGENT_STEP})
-"""Verbs that give the agent an observation of the experiment's."""
 
 
 _LIGHT: Final = 2048
@@ -119,6 +116,7 @@ class Session:
     __slots__ = (
         "_base",
         "_confirmed",
+        "_copied",
         "_due",
         "_engine",
         "_explained",
@@ -160,6 +158,7 @@ class Session:
         self._lost: dict[Role, str] = {}
         self._lost_since_reply: dict[Role, str] = {}
         self._slow = SlowCalls()
+        self._copied = False  # the outstanding call has a copy of an observation, for the agent
         self._heavy = False  # a body is not light
         self._due = False  # the size of the bodies that are kept has changed
         self._queries = 0  # number of requests without a call since the call `_queries_after`
@@ -192,12 +191,11 @@ class Session:
         kept = engine.bodies
         if self._pacer is not None:
             kept += self._pacer.bodies
+        if self._copied and self._outstanding is not None:
+            kept += (self._outstanding.body,)
         if self._reply is not None:
             kept += (self._reply.body,)
         sizes = [*{id(body): len(body) for body in kept if body}.values()]  # some are kept in two places
-        shown = engine.given if engine.verb in _SHOWING else engine.observation
-        if shown and has_beside(shown):
-            sizes.append(len(shown))  # at most that of the agent's copy
         self._due = False
         self._heavy = max(sizes, default=0) > _LIGHT
         self._host.memory.account(self, self._base + sum(sizes) if self._heavy else self._base)
@@ -477,7 +475,13 @@ class Session:
                     self._fail(ErrorCode.UNSUPPORTED, why)
                     return
         if (kind is _AGENT_STEP or kind is _AGENT_START) and not body.startswith(NOTHING_BESIDE, BESIDE_AT):
-            body = readable_by_agent(body, player.capabilities if player is not None else ())
+            shown = readable_by_agent(body, player.capabilities if player is not None else ())
+            self._copied = shown is not body
+            self._due = self._due or (self._copied and self._heavy)
+            body = shown
+        elif self._copied:
+            self._copied = False
+            self._due = self._due or self._heavy
         if self._pacer is not None and role is Role.AGENT:
             self._outstanding = None
             if player is not None:  # or else the call is made when one joins

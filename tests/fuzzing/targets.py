@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from glue.errors import GlueError
+from glue.extras import pack_extras, unpack_extras
 from glue.legacy import codec as codec_of_originals
 from glue.taskspec import parse_task_spec
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
@@ -44,6 +45,16 @@ def codec(data: bytes) -> None:
         except GlueError:
             continue
         assert decode(encode(message, direction), direction, _LIMIT) == message
+
+
+def extras(data: bytes) -> None:
+    """Read the extras of an observation, and write them again."""
+    try:
+        found = unpack_extras(data)
+    except GlueError:
+        return
+    again = unpack_extras(pack_extras(found))
+    assert repr(again) == repr(found)  # a NaN is not equal to itself
 
 
 def wire(data: bytes) -> None:
@@ -159,6 +170,7 @@ def _original(file: Path) -> bytes:
 
 TARGETS: Final[Mapping[str, Target]] = {
     "codec": codec,
+    "extras": extras,
     "zmtp": wire,
     "curve": curve,
     "legacy": legacy,
@@ -178,6 +190,8 @@ def examples(name: str) -> list[bytes]:
             found.append((b"\xff" if name == "zmtp" else b"\x20") + bytes.fromhex(text))
         except ValueError:
             continue
+    if name == "extras":
+        found += [bytes.fromhex(entry["hex"]) for entries in vectors["extras"].values() for entry in entries]
     if name == "taskspec":
         found.append(
             b"VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (2 0 1) DOUBLES"
@@ -195,7 +209,7 @@ def _recorded() -> bytes:
     with TrajectoryWriter(file) as writer:
         writer.run(Run("mines", {"random_start": True}, "a task", 7, b"state"))
         writer.message("hello")
-        writer.start(Observation(ints=[1], doubles=[0.5], chars=b"x"))
+        writer.start(Observation(ints=[1], doubles=[0.5], chars=b"x", mask=[True, False], extras={"a": 1}))
         writer.answer("how far?", "so far")
         for step in range(3):
             writer.step(Action(ints=[step]), 1.0, Observation(ints=[step]), step == 2)

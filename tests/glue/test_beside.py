@@ -14,7 +14,7 @@ from glue.errors import LocalProtocolError, RemoteProtocolError, TaskSpecError
 from glue.extras import MAX_EXTRA_NAME, MAX_EXTRAS, pack_extras, unpack_extras
 from glue.taskspec import Range, Ranges, Space, legal_values, mask_sizes, parse_task_spec
 from glue.taskspec.spaces import Discrete, task_spec
-from glue.types import MAX_MASK_BITS, Observation, beside_sizes, body_size, has_beside
+from glue.types import MAX_MASK_BITS, Action, Observation, beside_sizes, body_size, has_beside
 from glue.wire.beside import beside_without, readable, readable_by_agent
 
 INT64 = st.integers(-(2**63), 2**63 - 1)
@@ -62,6 +62,14 @@ def test_a_mask_may_be_given_in_numpys_forms() -> None:
     for given_ in (tuple(truth), np.array(truth), np.array(truth, np.int8), np.array(truth, np.int64)):
         assert Observation(mask=given_) == same
     assert Observation(mask=[np.True_, np.False_]) == Observation(mask=[True, False])  # type: ignore[list-item]
+
+
+def test_an_action_has_neither() -> None:
+    for body in (Observation(mask=[True]).body, Observation(extras={"a": 1}).body):
+        with pytest.raises(RemoteProtocolError, match="12 to 15 of an action must be zero"):
+            Action.from_body(body)
+    with pytest.raises(LocalProtocolError, match="only an observation has a mask or extras"):
+        Action([1], mask=[True])
 
 
 @pytest.mark.parametrize("wrong", [5, [], [2], [-1], [[True]], ["a"], np.ones((2, 2), bool), [0.5], "ab"])

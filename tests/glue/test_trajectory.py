@@ -118,6 +118,17 @@ runs = st.builds(
 )
 
 
+def test_what_stands_beside_observations_is_recorded(tmp_path: Path) -> None:
+    full = Observation([1], mask=[True, False], extras={"coins": 3, "way": [0.5]})
+    path = tmp_path / "a.traj"
+    with TrajectoryWriter(path) as recording:
+        recording.run(RUN)
+        recording.start(full)
+        recording.step(Action([1]), 0.5, full, terminal=True)
+    (episode,) = read(path)
+    assert (episode.start, episode.steps[0].observation) == (full, full)
+
+
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(
     recorded=st.lists(
@@ -365,7 +376,11 @@ BROKEN = {
     "run inside": (run_record() + b"O" + EMPTY + run_record(), "b'R' inside an episode"),
     "ends in a record": (run_record() + b"O" + EMPTY[:-1], "ends inside a record"),
     "ends in an episode": (run_record() + b"O" + EMPTY, "ends inside a record"),
-    "reserved word": (run_record() + b"O" + struct.pack("<4I", 0, 0, 0, 1), "must be zero"),
+    "cut mask": (run_record() + b"O" + struct.pack("<4I", 0, 0, 0, 1), "ends inside a record"),
+    "action with a mask": (
+        run_record() + b"O" + EMPTY + b"S" + bytes(8) + Observation(mask=[True]).body + EMPTY,
+        "an action with a mask or extras",
+    ),
     "huge body": (run_record() + b"O" + struct.pack("<4I", 2**32 - 1, 2**32 - 1, 0, 0), "bytes; 16777216"),
     "huge text": (b"R" + struct.pack("<I", 2**32 - 1), "a text of 4294967295 bytes"),
     "not UTF-8": (b"R" + struct.pack("<I", 1) + b"\xff", "not UTF-8"),

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from glue.engine.engine import role_seed
 from glue.engine.experiment import Experiment, Start
 from glue.engine.local import local
+from glue.extras import Extra
 from glue.pace import Pace
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation, Step
@@ -63,9 +64,10 @@ class _Busy:
 
 
 class BusyEnvironment(_Busy, Environment):
-    """An environment that digests its calls."""
+    """An environment that digests its calls; `beside` most of its observations have a mask and extras."""
 
     _letter = b"x"
+    env_masks = env_extras = False
     env_seed, env_save, env_load = _Busy._seed, _Busy._save, _Busy._load
 
     def env_init(self) -> str:
@@ -74,12 +76,19 @@ class BusyEnvironment(_Busy, Environment):
 
     def env_start(self) -> Observation:
         self._mix(b"start")
-        return Observation(**self._answer())
+        return self._shown()
 
     def env_step(self, action: Action) -> Step:
         self._mix(action.body)
         over = self._digest % 13 == 0
-        return Step(self._digest / 7.0, Observation(**self._answer()), over, over and self._digest % 2 == 0)
+        return Step(self._digest / 7.0, self._shown(), over, over and self._digest % 2 == 0)
+
+    def _shown(self) -> Observation:
+        if not self.env_masks or self._digest % 5 == 0:
+            return Observation(**self._answer())
+        mask = [bool(self._digest >> bit & 1) for bit in range(12)]
+        extras: dict[str, Extra] = {"digest": self._digest, "way": (self._digest / 7.0,) * (self._digest % 3)}
+        return Observation(**self._answer(), mask=mask, extras=extras)
 
     def env_cleanup(self) -> None:
         self._mix(b"cleanup")
@@ -89,9 +98,10 @@ class BusyEnvironment(_Busy, Environment):
 
 
 class BusyAgent(_Busy, Agent):
-    """An agent that digests its calls."""
+    """An agent that digests its calls, masks included."""
 
     _letter = b"y"
+    agent_masks = False
     _rewards = 0.0
     agent_seed, agent_save, agent_load = _Busy._seed, _Busy._save, _Busy._load
 
@@ -136,14 +146,18 @@ class _Players(BusyAgent):
         return 0
 
 
-def environment(bulk: int, many: bool, pause: Pause = nothing) -> BusyEnvironment:
-    """Return an environment, of many games or of one."""
-    return (_Games if many else BusyEnvironment)(bulk, pause)
+def environment(bulk: int, many: bool, pause: Pause = nothing, beside: bool = False) -> BusyEnvironment:
+    """Return an environment, of many games or of one; one may have masks and extras beside observations."""
+    made = (_Games if many else BusyEnvironment)(bulk, pause)
+    made.env_masks = made.env_extras = beside and not many
+    return made
 
 
-def agent(bulk: int, many: bool, pause: Pause = nothing) -> BusyAgent:
-    """Return an agent, of many games or of one."""
-    return (_Players if many else BusyAgent)(bulk, pause)
+def agent(bulk: int, many: bool, pause: Pause = nothing, beside: bool = False) -> BusyAgent:
+    """Return an agent, of many games or of one; one may read masks."""
+    made = (_Players if many else BusyAgent)(bulk, pause)
+    made.agent_masks = beside and not many
+    return made
 
 
 class Block(NamedTuple):
@@ -194,13 +208,13 @@ def play(glue: Experiment | _Direct, block: Block, pause: Pause = nothing) -> li
     return seen
 
 
-def play_timed(glue: Experiment, block: Block, bulk: int, pause: Pause = nothing) -> str:
+def play_timed(glue: Experiment, block: Block, bulk: int, beside: bool, pause: Pause = nothing) -> str:
     """Play a block whose environment does not wait; return what is wrong, or nothing.
 
     Whatever the agent's actions were, and whichever of them were late: the environment is repeated exactly by
     those that were carried out, and the agent is given each reward once.
     """
-    again = environment(bulk, False)
+    again = environment(bulk, many=False, beside=beside)
     again.env_seed(role_seed(block.seed, Role.ENVIRONMENT))
     if glue.rl_init(block.seed) != again.env_init():
         return "another task spec"
@@ -229,10 +243,15 @@ class _Direct:
 
     def __init__(self, agent: BusyAgent, environment: BusyEnvironment) -> None:
         self._agent, self._environment = agent, environment
-        self.rl_agent_start, self.rl_agent_step = agent.agent_start, agent.agent_step
         self.rl_agent_end, self.rl_agent_save = agent.agent_end, agent.agent_save
         self.rl_env_save = environment.env_save
         self.rl_agent_message, self.rl_env_message = agent.agent_message, environment.env_message
+
+    def rl_agent_start(self, observation: Observation) -> Action:
+        return self._agent.agent_start(observation.without(extras=True))
+
+    def rl_agent_step(self, reward: float, observation: Observation) -> Action:
+        return self._agent.agent_step(reward, observation.without(extras=True))
 
     def rl_init(self, seed: int) -> str:
         self._environment.env_seed(role_seed(seed, Role.ENVIRONMENT))
@@ -248,7 +267,7 @@ class _Direct:
 
     def rl_start(self) -> Start:
         observation = self.rl_env_start()
-        self._action = self._agent.agent_start(observation)
+        self._action = self.rl_agent_start(observation)
         return Start(observation, self._action)
 
     def rl_env_step(self, action: Action) -> Step:
@@ -264,7 +283,7 @@ class _Direct:
         if step.terminal and not step.truncated:
             self._agent.agent_end(step.reward)
         else:
-            self._action = self._agent.agent_step(step.reward, step.observation)
+            self._action = self.rl_agent_step(step.reward, step.observation)
         return step
 
     def rl_episode(self, max_steps: int) -> bool:
@@ -290,8 +309,7 @@ class _Direct:
 
 
 @cache
-def expected(block: Block, bulk: int, many: bool, pace: Pace = WAITING) -> list[Any]:
+def expected(block: Block, bulk: int, many: bool, beside: bool, pace: Pace = WAITING) -> list[Any]:
     """Return the results of a block whose players are called directly, or at a pace."""
-    if pace:
-        return play(local(agent(bulk, many), environment(bulk, many), pace=pace), block)
-    return play(_Direct(agent(bulk, many), environment(bulk, many)), block)
+    players = agent(bulk, many, beside=beside), environment(bulk, many, beside=beside)
+    return play(local(*players, pace=pace) if pace else _Direct(*players), block)

@@ -89,10 +89,11 @@ class Session:
         over: whether the experiment has left for good.
     """
 
-    def __init__(self, name: str, random: Random) -> None:
+    def __init__(self, name: str, random: Random, beside: bool) -> None:
         self.name = name
         self.bulk = random.choice((0, 0, 0, 40, 1500))
         self.many = random.random() < 0.15
+        self.beside = beside and not self.many
         self.slow = random.choice((0.0, 0.0, 0.0, 0.0, 0.01, 1.3))
         self.late = random.choice((0.0, 0.0, 0.2, 3.0))
         self.random = Random(random.randrange(2**31))
@@ -147,7 +148,7 @@ class Run:
         self.inside = random.random() < 0.15
         self.keyed = not self.inside and random.random() < 0.12
         number = 1 if self.inside else random.choice((1, 1, 1, 2, 3, 8))
-        self.sessions = [Session(f"s{n}", random) for n in range(number)]
+        self.sessions = [Session(f"s{n}", random, seed % 5 == 1) for n in range(number)]
         self.several = number > 1 and random.random() < 0.4
         pieces = Random(f"pieces {seed}")
         self.joint = self.several and pieces.random() < 0.5
@@ -230,9 +231,9 @@ class Run:
         here: dict[Role, Any] = {}
         which = self.seed % 4
         if which == 1:
-            here[Role.ENVIRONMENT] = environment(session.bulk, session.many)
+            here[Role.ENVIRONMENT] = environment(session.bulk, session.many, beside=session.beside)
         elif which == 2:
-            here[Role.AGENT] = agent(session.bulk, session.many)
+            here[Role.AGENT] = agent(session.bulk, session.many, beside=session.beside)
         with hub, hub.in_background():
             from glue.client.experiment import connect_over
 
@@ -274,7 +275,7 @@ class Run:
         while True:
             try:
                 if self.pace.rate:
-                    wrong = play_timed(glue, block, session.bulk, session.think)
+                    wrong = play_timed(glue, block, session.bulk, session.beside, session.think)
                 else:
                     seen = play(glue, block, session.think)
                 break
@@ -286,7 +287,7 @@ class Run:
         if self.pace.rate:
             if wrong:
                 self.problems.append(f"(b) session {session.name}: {block}: {wrong}")
-        elif seen != (known := expected(block, session.bulk, session.many, self.pace)):
+        elif seen != (known := expected(block, session.bulk, session.many, session.beside, self.pace)):
             at = next((n for n, (a, b) in enumerate(zip(seen, known, strict=False)) if a != b), -1)
             self.problems.append(
                 f"(b) session {session.name}: {block} differs from a run in one process at {at}: "
@@ -299,7 +300,9 @@ class Run:
         def start(kept: bool, players: dict[str, Any] | None = None) -> Process:
             make: Any = agent if role is Role.AGENT else environment
             if players is None or not kept:
-                players = {each.name: make(each.bulk, each.many, each.pause) for each in sessions}
+                players = {
+                    each.name: make(each.bulk, each.many, each.pause, each.beside) for each in sessions
+                }
             process = Process(self.world, f"{role} of {','.join(each.name for each in sessions)}")
             if self.liar is not None and self.liar[0] is role and self.liar[1] in sessions:
                 self.liars[process.number] = partial(

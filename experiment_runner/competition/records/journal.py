@@ -103,9 +103,12 @@ class Act:
             ExperimentError: it is none.
         """
         try:
-            return datetime.strptime(self.time, _TIME).replace(tzinfo=UTC)
+            found = datetime.strptime(self.time, _TIME).replace(tzinfo=UTC)
         except ValueError:
-            raise ExperimentError(f"the journal has an act at {self.time!r:.80}, which is no time") from None
+            found = datetime.min.replace(tzinfo=UTC)
+        if not 1970 < found.year < 9999:  # every time zone has the others
+            raise ExperimentError(f"the journal has an act at {self.time!r:.80}, which is no time")
+        return found
 
 
 _ALWAYS: Final = ("time", "act", "subject", "reason")

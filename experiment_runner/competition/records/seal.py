@@ -27,6 +27,7 @@ from msgspec.structs import replace
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act
+from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import (
@@ -48,6 +49,7 @@ _TRIES: Final = 3
 _SUM_BYTES: Final = 512
 
 _SPEC: Final = ("id", "agent", "environment", "episodes", "max_steps", "seed", "steps")
+_UNSET: Final = TrialSpec(TrialId(""), None, None, 0, 0, 0)
 
 _Sum = Annotated[str, msgspec.Meta(pattern="^[0-9a-f]+$", max_length=2 * _SUM_BYTES)]
 """The digest of a set, in hexadecimal."""
@@ -295,8 +297,12 @@ def _files(directory: Path) -> list[str]:
 
 
 def _planned(spec: TrialSpec) -> dict[str, object]:
-    """Return the fields of a trial, those that are younger than the seal only if they are set."""
-    return {name: value for name, value in asdict(spec).items() if value or name in _SPEC}
+    """Return the fields of a trial, those that are younger than the first seal only if they are set."""
+    return {
+        name: value
+        for name, value in asdict(spec).items()
+        if name in _SPEC or getattr(spec, name) != getattr(_UNSET, name)
+    }
 
 
 def _ended(trial_id: str, outcome: TrialEnd) -> object:

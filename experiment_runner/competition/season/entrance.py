@@ -180,7 +180,7 @@ class _Entrance:
 
     async def image(self, request: Request) -> _Answer:
         entrant = await self._sender(request)
-        season = (await run_in_threadpool(course_of, self._directory)).competition.season
+        season = (await run_in_threadpool(course_of, self._directory)).season
         if season is None or not season.images:
             raise Denied("this season takes no images: play with glue-agent and season.toml", 403)
         size = request.headers.get("content-length", "")

@@ -18,7 +18,7 @@ import itertools
 import math
 import re
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -34,7 +34,7 @@ from experiment_runner.competition.records.seal import add_trials, record_acts, 
 from experiment_runner.competition.season import control, schedule
 from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
-from experiment_runner.competition.season.board import Boards
+from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request, TryLater
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.season.worker import Replay, Verified
@@ -232,15 +232,12 @@ class Server(Matches):
         """Go on with the attempts that were played when the server before this one ended."""
         self._dispatcher = dispatcher
         for name in self._named:
-            starter_for(self._player(self._state.entrants[name])).sweep(self._run)
-        playing = self._state.attempts("playing")
-        if playing:
-            outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
-            starts = {(one.subject, one.number): one for one in self._acts if one.act == journal.START}
-            for one in playing:
-                start = starts[one.entrant, one.number]
-                specs = attempt_trials(self._levels, self._competition.trials, start)
-                self._take_slot(one, int(start.value), specs, outcomes, verdicts, resumed=True)
+            starter_for(self._player(self._state.entrants[name].act)).sweep(self._run)
+        playing = {(one.entrant, one.number) for one in self._state.attempts("playing")}
+        outcomes, verdicts = (self._store.outcomes(), self._store.verdicts()) if playing else ({}, {})
+        for one in list(self._acts):
+            if one.act == journal.START and (one.subject, one.number) in playing:
+                self._take_slot(one, outcomes, verdicts, resumed=True)
 
     def turn(self, seconds: float = 0.0) -> bool:
         """Start what can start, and store what is reported within `seconds`; return whether anything runs."""
@@ -333,6 +330,8 @@ class Server(Matches):
 
     def _attempt(self, name: str, number: int) -> Reply:
         entrant = self._state.entrant(name)
+        if entrant.excluded:
+            raise ExperimentError(f"{name} is excluded: {entrant.excluded}")
         if not self._present(name):
             self._looked -= _LOOK_SECONDS
         self._seen[name] = self._clock()
@@ -372,10 +371,9 @@ class Server(Matches):
                 reply["hub"] = gate_of(self._gate, slot.number).bind
             return {"state": "playing", **reply}
         now, board = self._now(), self._newest_boards().seen_by(name)
-        row = next((row for row in board.entrants if row.mine), None)
-        attempts = () if row is None else row.attempts
-        played = next((other for other in attempts if other.number == one.number), None)
-        if row is None or played is None or played.state in ("waiting", "playing"):  # the boards are older
+        row = next((row for row in board.entrants if row.mine), EntrantRow(name))
+        played = next((other for other in row.attempts if other.number == one.number), None)
+        if played is None or played.state in ("waiting", "playing"):  # the boards are older
             return {"state": "verifying", **reply}
         returns = schedule.returns_at(self._state, now)
         return {
@@ -498,7 +496,7 @@ class Server(Matches):
         if state.closed is None and state.season.opens <= time < state.season.closes:
             for name in self._named.keys() & state.entrants.keys():
                 entrant = state.entrants[name]
-                if not entrant.attempts and self._player(entrant).key is None and not entrant.excluded:
+                if not (entrant.attempts or entrant.excluded or self._has_key(name)):
                     self._record(act(journal.REQUEST, name, "its first", now=time, number=1))
         for one in schedule.next_attempts(state, time, self._is_ready):
             self._begin(one)
@@ -507,7 +505,7 @@ class Server(Matches):
 
     def _must_ask(self, one: Attempt) -> bool:
         """Return whether an attempt waits only as long as its entrant's program asks for it."""
-        return not one.instead and self._player(self._state.entrants[one.entrant]).key is not None
+        return not one.instead and self._has_key(one.entrant)
 
     def _present(self, name: str) -> bool:
         return name in self._seen and self._clock() - self._seen[name] < _PRESENT_SECONDS
@@ -515,37 +513,27 @@ class Server(Matches):
     def _is_ready(self, one: Attempt) -> bool:
         """Return whether an attempt that waits can be let play."""
         rests_until, _ = self._rests.get(one.entrant, (0.0, 0.0))
-        needs_program = self._player(self._state.entrants[one.entrant]).key is not None
-        return self._clock() >= rests_until and (not needs_program or self._present(one.entrant))
+        there = not self._has_key(one.entrant) or self._present(one.entrant)
+        return there and self._clock() >= rests_until
 
-    def _player(self, entrant: Enrolled) -> Entrant:
-        """Return an entrant as it plays now."""
-        found = entrant.act
-        named = self._named.get(entrant.name)
-        if named is None or (IMAGE_ID.fullmatch(found.id) and named.player != found.player):
-            return entrant_of(found)
-        return replace(named, id=found.id)
+    def _player(self, admitted: Act) -> Entrant:
+        """Return an entrant as an act says that has its player and id."""
+        named = self._named.get(admitted.subject)
+        if named is None or (IMAGE_ID.fullmatch(admitted.id) and named.player != admitted.player):
+            return entrant_of(admitted)
+        return replace(named, id=admitted.id)
+
+    def _has_key(self, name: str) -> bool:
+        return self._player(self._state.entrants[name].act).key is not None
 
     def _begin(self, one: Attempt) -> None:
         """Let an attempt play, if there is a slot for it."""
-        slot = self._free_slot()
-        if slot is None:
-            return
-        plays = self._state.entrants[one.entrant].act
-        start = act(
-            journal.START,
-            one.entrant,
-            "",
-            now=self._now(),
-            number=one.number,
-            player=plays.player,
-            id=plays.id,
-            value=str(slot),
-        )
-        self._record(start)
-        specs = attempt_trials(self._levels, self._competition.trials, start)
-        add_trials(self._store, specs)
-        self._take_slot(one, slot, specs, {}, {}, resumed=False)
+        slot, plays = self._free_slot(), self._state.entrants[one.entrant].act
+        if slot is not None:
+            more = {"player": plays.player, "id": plays.id, "value": str(slot)}
+            start = act(journal.START, one.entrant, "", now=self._now(), number=one.number, **more)
+            self._record(start)
+            self._take_slot(start, {}, {}, resumed=False)
 
     def _free_slot(self) -> int | None:
         """Return a slot that is free, and does not rest since an attempt failed there; None without one."""
@@ -556,27 +544,30 @@ class Server(Matches):
 
     def _take_slot(
         self,
-        one: Attempt,
-        number: int,
-        specs: Sequence[TrialSpec],
+        start: Act,
         outcomes: Mapping[str, TrialEnd],
         verdicts: Mapping[str, ReplayVerdict],
         *,
         resumed: bool,
     ) -> None:
         """Let an attempt have a slot, with trials some of which may have been played already."""
-        entrant = self._player(self._state.entrants[one.entrant])
+        name = start.subject
+        entrant = self._player(replace(self._state.entrants[name].act, player=start.player, id=start.id))
+        specs = attempt_trials(self._levels, self._competition.trials, start)
+        if not resumed:
+            add_trials(self._store, specs)
         ids = [str(spec.id) for spec in specs]
+        verified = {trial_id for trial_id, verdict in verdicts.items() if verdict.problem is None}
         slot = _Slot(
-            one,
+            self._state.attempt(name, start.number),
             entrant,
-            number,
+            int(start.value),
             dict(zip(ids, specs, strict=True)),
             deque(trial_id for trial_id in ids if trial_id not in outcomes),
-            {trial_id for trial_id in ids if trial_id in outcomes and trial_id not in verdicts},
+            {trial_id for trial_id in ids if trial_id in outcomes} - verified,
             resumed,
         )
-        self._slots[one.entrant] = slot
+        self._slots[name] = slot
         for trial_id in ids:
             if trial_id in outcomes:
                 self._note_forfeit(slot, trial_id, outcomes[trial_id])

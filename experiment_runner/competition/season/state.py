@@ -160,6 +160,8 @@ class SeasonState:
         """
         self.count += 1
         match one.act:
+            case journal.ADD | journal.ENROL if one.subject in self.entrants:
+                raise ExperimentError(f"the journal admits {one.subject:.80} twice")
             case journal.ENTER | journal.ADD | journal.ENROL:
                 self.entrants[one.subject] = Enrolled(one)
             case journal.FREEZE:
@@ -249,9 +251,9 @@ class SeasonState:
             raise ExperimentError(
                 f"the journal queues attempt {one.number} of {one.subject}, who has {len(entrant.attempts)}"
             )
-        made = Attempt(one.subject, one.number, one.when, instead=one.instead, order=self.count)
+        made = Attempt(one.subject, one.number, one.when, order=self.count)
         if one.act == journal.RERUN:
-            self.attempt(one.subject, one.instead)
+            made = replace(made, instead=self.attempt(one.subject, one.instead).number)
         else:
             day = made.requested.astimezone(self.season.days).date()
             if entrant.used[day] < self.season.attempts_per_day:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from experiment_runner.competition.season.board import PUBLIC
+from experiment_runner.store.database import reported
 from experiment_runner.store.layout import replace_flushed
 from experiment_runner.view.app import static_content, static_files
 from experiment_runner.view.season.views import Views
@@ -81,6 +82,7 @@ class Publisher:
     def _write(self, name: str, content: bytes) -> None:
         if self._written.get(name) != hash(content):
             path = self._folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
+            with reported(f"cannot write {path}"):
+                path.parent.mkdir(parents=True, exist_ok=True)
             replace_flushed(path, content)
             self._written[name] = hash(content)

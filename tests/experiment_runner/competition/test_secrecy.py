@@ -29,9 +29,9 @@ CANARY = "sings in the mine"
 
 ASKED = {
     *(Kind.AGENT_SEED, Kind.AGENT_INIT, Kind.AGENT_START, Kind.AGENT_STEP, Kind.AGENT_END),
-    Kind.AGENT_CLEANUP,
+    *(Kind.AGENT_CLEANUP, Kind.AGENT_MESSAGE),
 }
-"""Calls that an agent receives in a competition: no message, and no save."""
+"""Calls that an agent receives in a competition: no message but what time is left, and no save."""
 
 TO_KEEP_UP = {Kind.WELCOME, Kind.HEARTBEAT, Kind.GOODBYE}
 

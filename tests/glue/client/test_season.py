@@ -152,6 +152,19 @@ def test_a_page_that_is_restarted_is_asked_again(script: Script, season: tuple[S
     assert season[1] == [7.0, 7.0]
 
 
+def test_another_attempt_replaces_one_that_failed_for_a_reason_of_the_seasons(
+    script: Script, season: tuple[Season, list[float]]
+) -> None:
+    ours = {"state": "over", "attempt": 3, "outcome": "ours", "why": "a disk was full"}
+    script.answers = [(200, {"state": "waiting", "attempt": 3, "why": "a new disk"}), (200, ours)]
+    script.answers += [(200, {"state": "verifying", "attempt": 4}), (200, {**OVER, "attempt": 4})]
+    said: list[str] = []
+    assert season[0].play(lambda target, on: None, said.append)["attempt"] == 4
+    assert said[0] == "attempt 3 waits, and nothing is played now: a new disk"
+    assert said[1].startswith("attempt 3 is over; ours (a disk was full); it does not count")
+    assert [body["attempt"] for _, body in script.asked] == [0, 3, 0, 4]
+
+
 def test_a_page_that_stays_away_is_given_up(script: Script, season: tuple[Season, list[float]]) -> None:
     script.answers = [(503, {"error": "not running"})]
     with pytest.raises(SeasonBusy, match="not running"):

@@ -134,30 +134,35 @@ def oddly(random: Random, message: Message) -> bytes:
     )
 
 
-def body_of(random: Random, shape: tuple[int, int, int]) -> bytes:
-    ints, doubles, chars = shape
-    return struct.pack("<4I", ints, doubles, chars, 0) + random.randbytes(4 * ints + 8 * doubles + chars)
+Size = tuple[int, int, int, int, int]
+
+
+def body_of(random: Random, shape: Size) -> bytes:
+    ints, doubles, chars, mask, extras = shape
+    return struct.pack("<3I2H", *shape) + random.randbytes(4 * ints + 8 * doubles + chars + mask + extras)
 
 
 ODDITIES = ["encoding", "encoding", "body", "body", "other", "frames", "header", "again", "ping", "flags"]
 NUMBERS = [0, 1, 120, 127, 128, 250, 256, 2**16 - 2, 2**16, 2**32 - 2, 2**32, 2**63 - 20]
-SHAPES = [
-    (1, 0, 0),
-    (0, 0, 0),
-    (2, 1, 3),
-    (0, 3, 0),
-    (60, 0, 0),
-    (0, 29, 7),
-    (0, 0, 240),
-    (5, 1, 300),
-    (0, 0, LARGEST - 16),
-    (0, 0, LARGEST - 15),
+SHAPES: list[Size] = [
+    (1, 0, 0, 0, 0),
+    (0, 0, 0, 0, 0),
+    (2, 1, 3, 0, 0),
+    (0, 3, 0, 0, 0),
+    (60, 0, 0, 0, 0),
+    (0, 29, 7, 0, 0),
+    (0, 0, 240, 0, 0),
+    (5, 1, 300, 0, 0),
+    (0, 0, LARGEST - 16, 0, 0),
+    (0, 0, LARGEST - 15, 0, 0),
+    (2, 1, 3, 2, 0),
+    (1, 0, 0, 2, 40),
+    (0, 0, 240, 0, 300),
+    (0, 0, 0, 2**16 - 1, 0),
 ]
 
 
-def step(
-    random: Random, kind: Kind, from_hub: bool, session: str, number: int, shape: tuple[int, int, int]
-) -> Message:
+def step(random: Random, kind: Kind, from_hub: bool, session: str, number: int, shape: Size) -> Message:
     reward = random.choice([0.0, -0.0, 1.0, 0.1, float("nan"), float("-inf")])
     scalars = scalars_of(kind, from_hub, reward, random.choice([False, True, CUT_OFF]))
     return Message(kind, session, number, scalars, body_of(random, shape))

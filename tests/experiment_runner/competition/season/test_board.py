@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
@@ -10,8 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.journal import Act
 from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards, EntrantRow, SeasonBoard
 from experiment_runner.store.records import ReplayVerdict
+from glue.errors import ExperimentError
 from tests.experiment_runner.competition.season.made import FILE, Made
 
 NAMES = ("ann", "bob", "cy")
@@ -143,6 +146,34 @@ def test_who_is_not_separated_is_said() -> None:
         ("bob", 1),
         ("cy", None),
     ]
+
+
+_KINDS = st.sampled_from(
+    [
+        *(journal.ENROL, journal.REQUEST, journal.START, journal.OVER, journal.OURS, journal.CANCEL),
+        *(journal.WITHDRAW, journal.RERUN, journal.GRANT, journal.IMAGE, journal.EXCLUDE, journal.READMIT),
+        *(journal.FREEZE, journal.THAW, journal.CLOSE, journal.ADD, "praise"),
+    ]
+)
+_SUBJECTS = st.sampled_from([*NAMES, journal.EVERYBODY, "ann/walk/0", ""])
+_WHEN = st.sampled_from(["2026-12-01T09:00:00Z", "2026-12-02T09:00:00Z", "0001-01-01T00:00:00Z", "noon"])
+_NUMBERS = st.integers(-1, 4)
+
+
+_ACTS = st.builds(Act, _WHEN, _KINDS, _SUBJECTS, st.just("a mail"), number=_NUMBERS, instead=_NUMBERS)
+
+
+@given(st.lists(_ACTS, max_size=60))
+def test_an_act_of_strangers_is_refused_or_there_is_a_board_after_it(acts: list[Act]) -> None:
+    made = Made(NAMES)
+    state = made.state
+    for one in acts:
+        with suppress(ExperimentError):
+            state.apply(one)
+            made.acts.append(one)
+    for viewer in (PUBLIC, ORGANISER, "ann"):
+        for row in made.board(viewer).entrants:
+            assert sum(row.counts.values()) == len(row.attempts)
 
 
 def essence(board: SeasonBoard) -> list[EntrantRow]:

@@ -322,6 +322,11 @@ def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(tmp_path: Path) -
         made.turns()
         (job,) = made.executor.jobs.values()
         assert (job.entrant.image, job.entrant.id) == ("alice:1", "sha256:" + 64 * "0")
+        made.ask(Submit("alice", "sha256:" + 64 * "1", "alice:1"))  # the next attempt is its
+        made.restart()
+        made.turns()
+        (job,) = made.executor.jobs.values()
+        assert job.entrant.id == "sha256:" + 64 * "0"
 
 
 def test_entrants_of_the_file_play_by_themselves(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from experiment_runner.competition.records.journal import ANNOUNCE, EVERYBODY
 from experiment_runner.view.launch import season_viewed
 from experiment_runner.view.season.publish import Publisher
 from experiment_runner.view.season.views import Views
+from glue.errors import ExperimentError
 from tests.experiment_runner.view.season.seasons import Held
 from tests.forked import run
 from tests.system.runs import wait_until
@@ -41,6 +42,12 @@ def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed
         assert (tmp_path / "other").read_text() == "mine"
         publisher.publish()
         assert (public / "index.html").stat().st_mtime_ns >= before
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "public").write_text("a file")
+    with Held(tmp_path / "spring") as held, pytest.raises(ExperimentError, match="cannot write"):
+        Publisher(Views(held.directory, lambda: held.now), tmp_path / "public").publish()
 
 
 @pytest.mark.parametrize(
