@@ -37,6 +37,7 @@ CUT_OFF: Final = 2
 IntArray = npt.NDArray[np.int32]
 DoubleArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
+Mask = Sequence[bool] | npt.NDArray[np.bool_ | np.integer]
 
 PREFIX_SIZE: Final = 16
 BESIDE_AT: Final = 12
@@ -64,6 +65,7 @@ class AbstractType:
         ints: whole numbers from -2**31 to 2**31 - 1.
         doubles: numbers; infinities and NaN are allowed and keep their bits.
         chars: bytes.
+        mask: only for an `Observation`, like `extras`.
 
     Raises:
         LocalProtocolError: an int is not a whole number of 32 bits, a double is not a number of 64 bits, or
@@ -83,10 +85,26 @@ class AbstractType:
         ints: Sequence[int] | npt.NDArray[np.integer] = (),
         doubles: Sequence[float] | npt.NDArray[np.floating] = (),
         chars: bytes = b"",
+        *,
+        mask: Mask | None = None,
+        extras: Mapping[str, GivenExtra] | None = None,
     ) -> None:
-        self._body = _packed(ints, doubles, chars, b"", b"")
+        if not isinstance(chars, bytes):
+            raise LocalProtocolError(f"chars must be bytes, not {chars!r:.80}")
+        sizes, beside = 0, b""
+        if mask is not None or extras:
+            sizes, beside = self._beside(mask, extras)
+        try:
+            prefix = _PREFIX.pack(len(ints), len(doubles), len(chars), sizes)
+        except TypeError:
+            raise LocalProtocolError(_not_rows(ints, doubles)) from None
+        self._body = b"".join((prefix, _pack_doubles(doubles), _pack_ints(ints), chars, beside))
         self._ints = None
         self._doubles = None
+
+    def _beside(self, mask: Mask | None, extras: Mapping[str, GivenExtra] | None) -> tuple[int, bytes]:
+        """Return the bytes of a mask and extras, and the fourth word of the body, which has their sizes."""
+        raise LocalProtocolError("only an observation has a mask or extras")
 
     @classmethod
     def from_body(cls, body: bytes) -> Self:
@@ -188,20 +206,10 @@ class Observation(AbstractType):
 
     __slots__ = ()
 
-    def __init__(
-        self,
-        ints: Sequence[int] | npt.NDArray[np.integer] = (),
-        doubles: Sequence[float] | npt.NDArray[np.floating] = (),
-        chars: bytes = b"",
-        *,
-        mask: Sequence[bool] | npt.NDArray[np.bool_ | np.integer] | None = None,
-        extras: Mapping[str, GivenExtra] | None = None,
-    ) -> None:
+    def _beside(self, mask: Mask | None, extras: Mapping[str, GivenExtra] | None) -> tuple[int, bytes]:
         bits = b"" if mask is None else _pack_mask(mask)
         named = pack_extras(extras) if extras else b""
-        self._body = _packed(ints, doubles, chars, bits, named)
-        self._ints = None
-        self._doubles = None
+        return len(bits) | len(named) << 16, bits + named
 
     @property
     def packed_mask(self) -> bytes:
@@ -251,23 +259,6 @@ class Action(AbstractType):
     __slots__ = ()
 
 
-def _packed(
-    ints: Sequence[int] | npt.NDArray[np.integer],
-    doubles: Sequence[float] | npt.NDArray[np.floating],
-    chars: bytes,
-    mask: bytes,
-    extras: bytes,
-) -> bytes:
-    """Return the body of these."""
-    if not isinstance(chars, bytes):
-        raise LocalProtocolError(f"chars must be bytes, not {chars!r:.80}")
-    try:
-        prefix = _PREFIX.pack(len(ints), len(doubles), len(chars), len(mask) | len(extras) << 16)
-    except TypeError:
-        raise LocalProtocolError(_not_rows(ints, doubles)) from None
-    return b"".join((prefix, _pack_doubles(doubles), _pack_ints(ints), chars, mask, extras))
-
-
 def body_size(buffer: bytes | bytearray, offset: int = 0) -> int:
     """Return the size in bytes of the abstract type that starts at `offset`, according to its counts.
 
@@ -304,7 +295,7 @@ def without_beside(body: bytes, *, mask: bool, extras: bool) -> bytes:
     return b"".join((body[:BESIDE_AT], sizes, numbers, body[end:] if not extras else b""))
 
 
-def _pack_mask(mask: Sequence[bool] | npt.NDArray[np.bool_ | np.integer]) -> bytes:
+def _pack_mask(mask: Mask) -> bytes:
     bits = b""
     try:
         if len(mask) <= MAX_MASK_BITS:

@@ -224,6 +224,8 @@ def check_players(config: RunConfig, plan: Plan) -> None:
     for flag, sweeps in (("agent", plan.agents), ("env", plan.environments)):
         if PLAYERS[flag] in inside and not sweeps and not config.placement.in_process:
             raise ConfigError(f"--{flag} NAME is missing: only a named player runs inside")
+    if config.placement.check_actions and not plan.environments:
+        raise ConfigError("--check-actions needs --env NAME; glue-env has the option for one from outside")
     if not (config.parallel or config.placement.in_process):
         return
     if config.placement.hub != HubOptions():

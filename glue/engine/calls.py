@@ -34,9 +34,18 @@ from glue.roles import (
 )
 from glue.taskspec import Space, mask_sizes, parse_task_spec
 from glue.taskspec.masks import mask_fault
-from glue.types import CUT_OFF, NOTHING_BESIDE, AbstractType, Action, Observation, has_beside, step_of
+from glue.types import (
+    BESIDE_AT,
+    CUT_OFF,
+    NOTHING_BESIDE,
+    AbstractType,
+    Action,
+    Observation,
+    beside_sizes,
+    step_of,
+)
 from glue.wire.beside import beside_without
-from glue.wire.messages import BESIDE, CALLS, MASK, Kind, Role
+from glue.wire.messages import BESIDE, CALLS, EXTRAS, MASK, Kind, Role
 
 Answer = tuple[tuple[Any, ...], Any]
 Handler = Callable[[tuple[Any, ...], Any], Answer]
@@ -153,7 +162,7 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
         if shown and not observation._body.startswith(shown):
             beside.check("env_start", observation)
             raise _miscounted(environment, "env_start", observation, shown)
-        if careful and has_beside(observation._body):
+        if careful and not observation._body.startswith(NOTHING_BESIDE, BESIDE_AT):
             beside.check("env_start", observation)
         return (), observation
 
@@ -173,7 +182,7 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
         if shown and not observation._body.startswith(shown):
             beside.check("env_step", observation)
             raise _miscounted(environment, "env_step", observation, shown)
-        if careful and has_beside(observation._body):
+        if careful and not observation._body.startswith(NOTHING_BESIDE, BESIDE_AT):
             beside.check("env_step", observation)
         return (taken.reward, CUT_OFF if taken.truncated else taken.terminal), observation
 
@@ -312,10 +321,12 @@ class _Beside:
 
     def check(self, method: str, observation: Observation) -> None:
         """Raise PeerFailed if an observation that `method` returned has what it must not have."""
-        packed = observation.packed_mask
-        unoffered = beside_without(observation._body, self._offered)
-        if packed in self._right and not unoffered:
-            return
+        body = observation._body
+        mask, extras = beside_sizes(body)
+        packed = body[len(body) - extras - mask : len(body) - extras]
+        if packed in self._right and (not extras or EXTRAS in self._offered):
+            return  # the usual case
+        unoffered = beside_without(body, self._offered)
         if unoffered:
             why = f"with {unoffered}, and does not offer this capability (no batch can)"
         elif packed and not self._parsed:

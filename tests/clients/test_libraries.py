@@ -44,8 +44,8 @@ def test_kit_finds_no_fault(language: Language, role: Role) -> None:
     done = judged(role, "--wait", "20", "--", *language.programs["mirror"], role)
     lines = done.stdout.splitlines()
     unjudged = [before for before, line in pairwise(lines) if line.strip().startswith("not judged")]
-    # Players have all capabilities except `batch`; experiments ask for the return and the number of steps.
-    assert all(" outcome: " in line or " batch: " in line for line in unjudged), done.stdout
+    # Players have all capabilities except these; experiments ask for the return and the number of steps.
+    assert all(re.search(" (outcome|batch|pace): ", line) for line in unjudged), done.stdout
     assert "broken" not in lines[-1]
 
 

@@ -68,6 +68,8 @@ def test_an_action_has_neither() -> None:
     for body in (Observation(mask=[True]).body, Observation(extras={"a": 1}).body):
         with pytest.raises(RemoteProtocolError, match="12 to 15 of an action must be zero"):
             Action.from_body(body)
+    with pytest.raises(LocalProtocolError, match="only an observation has a mask or extras"):
+        Action([1], mask=[True])
 
 
 @pytest.mark.parametrize("wrong", [5, [], [2], [-1], [[True]], ["a"], np.ones((2, 2), bool), [0.5], "ab"])

@@ -54,6 +54,7 @@ def test_experiments(tmp_path: Path) -> None:
         ("notebooks", "."),
         ("mario", "runs/levels/results.sqlite"),
         ("masks", "hops.png"),
+        ("realtime", "runs/delayed/results.sqlite"),
     ],
 )
 def test_tutorial(page: str, made: str, tmp_path: Path) -> None:

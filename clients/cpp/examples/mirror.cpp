@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <glue_rl/glue_rl.hpp>
-#include <initializer_list>
 #include <iostream>
 #include <numeric>
 #include <sstream>
@@ -63,7 +62,7 @@ class Mirror : public glue_rl::Seedable, public glue_rl::Saveable {
     return std::string(text);
   }
 
-  AbstractType mirror(AbstractType mirrored, std::initializer_list<double> more) const {
+  AbstractType mirror(AbstractType mirrored, const std::vector<double>& more) const {
     if (mirrored.ints.empty() && mirrored.doubles.empty() && mirrored.chars.empty()) return mirrored;
     const double total = sum(mirrored.ints);
     std::reverse(mirrored.ints.begin(), mirrored.ints.end());
@@ -71,7 +70,7 @@ class Mirror : public glue_rl::Seedable, public glue_rl::Saveable {
     std::reverse(mirrored.chars.begin(), mirrored.chars.end());
     mirrored.ints.push_back(count_);
     mirrored.doubles.push_back(total);
-    mirrored.doubles.insert(mirrored.doubles.end(), more);
+    mirrored.doubles.insert(mirrored.doubles.end(), more.begin(), more.end());
     return mirrored;
   }
 
@@ -81,17 +80,24 @@ class Mirror : public glue_rl::Seedable, public glue_rl::Saveable {
   std::uint64_t seed_ = 0;
 };
 
-class MirrorAgent : public Mirror, public glue_rl::Agent, public glue_rl::Measured {
+class MirrorAgent : public Mirror, public glue_rl::Agent, public glue_rl::Measured, public glue_rl::Paced {
  public:
+  void pace(double deadline, double latency) override { told_ = {deadline, latency}; }
   glue_rl::Metrics metrics() override { return {{"count", count_}, {"half the count", count_ / 2.0}}; }
   void init(std::string_view) override { count_ = 0; }
   Action start(const ObservationView& observation) override { return step(0, observation); }
   Action step(double reward, const ObservationView& observation) override {
     count_ += 1;
-    return mirror(shown(Observation(observation)), {reward});
+    std::vector<double> more{reward};
+    more.insert(more.end(), told_.begin(), told_.end());
+    told_.clear();
+    return mirror(shown(Observation(observation)), more);
   }
   void end(double) override { count_ += 1; }
   std::string message(std::string_view text) override { return answer(text); }
+
+ private:
+  std::vector<double> told_;
 };
 
 class MirrorEnvironment : public Mirror, public glue_rl::Environment {

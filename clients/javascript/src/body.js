@@ -65,10 +65,10 @@ function readRuns(body) {
   const view = new DataView(body.buffer, body.byteOffset, body.byteLength);
   const ints = new Int32Array(view.getUint32(0, true));
   const doubles = new Float64Array(view.getUint32(4, true));
-  const atInts = HEAD + 8 * doubles.length;
+  const atInts = 16 + 8 * doubles.length;
   const atChars = atInts + 4 * ints.length;
   const end = atChars + view.getUint32(8, true);
-  for (let i = 0; i < doubles.length; i += 1) doubles[i] = view.getFloat64(HEAD + 8 * i, true);
+  for (let i = 0; i < doubles.length; i += 1) doubles[i] = view.getFloat64(16 + 8 * i, true);
   for (let i = 0; i < ints.length; i += 1) ints[i] = view.getInt32(atInts + 4 * i, true);
   return [{ ints, doubles, chars: new Uint8Array(body.subarray(atChars, end)) }, end];
 }

@@ -8,7 +8,7 @@ import subprocess
 import tracemalloc
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import pytest
@@ -30,6 +30,7 @@ from env_server.replay.episodes import (
 from env_server.replay.golden import Digest, GoldenEpisode, GoldenReader, digest
 from env_server.toys import MinesEnvironment
 from glue.errors import ConfigError
+from glue.extras import Extra
 from glue.options import Value
 from glue.roles import Environment
 from glue.trajectory import ActionWriter, Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
@@ -281,6 +282,28 @@ def test_recording_that_goes_on_from_a_saved_state_replays(tmp_path: Path) -> No
         recording.start(first)
     with pytest.raises(Difference, match="x of sprite 0"):
         list(replayed_moments(open_recording(tmp_path / "b"), build))
+
+
+def test_a_recording_without_extras_replays_with_them(tmp_path: Path) -> None:
+    class Talking(MinesEnvironment):
+        extras: ClassVar[dict[str, Extra]] = {"coins": 3}
+
+        def env_start(self) -> Observation:
+            return Observation(super().env_start().ints, extras=self.extras)
+
+    seen = MinesEnvironment()
+    run = Run("mines", {}, seen.env_init())
+    for name, beside in (("older", None), ("newer", Talking.extras), ("other", {"coins": 4})):
+        with TrajectoryWriter(tmp_path / name) as recording:
+            recording.run(run)
+            recording.start(Observation(seen.env_start().ints, extras=beside))
+
+    def replayed(name: str) -> list[Moment]:
+        return list(replayed_moments(open_recording(tmp_path / name), lambda run: Talking()))
+
+    assert len(replayed("older")) == len(replayed("newer")) == 1
+    with pytest.raises(Difference, match=r"beside the observation: .*'coins': 4.*'coins': 3"):
+        replayed("other")
 
 
 def test_other_task_spec_is_a_difference(tmp_path: Path) -> None:

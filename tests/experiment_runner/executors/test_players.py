@@ -116,6 +116,18 @@ def test_reward_that_is_not_finite_is_noticed_in_a_list_too() -> None:
         FiniteRewards(Lists()).env_step(Action(ints=[1]))
 
 
+LEFT = """
+from glue import Action, Agent
+
+class Left(Agent):
+    def agent_start(self, observation):
+        return Action([2])
+
+    def agent_step(self, reward, observation):
+        return Action([2])
+"""
+
+
 @pytest.mark.parametrize(
     ("placement", "reward"),
     [*((Placement(BOTH), reward) for reward in (math.nan, math.inf, -math.inf)), (Placement(), math.nan)],
@@ -135,6 +147,21 @@ def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
             glue.rl_init(1)
             glue.rl_episode(10)
             assert not math.isfinite(glue.rl_return())
+
+
+@pytest.mark.parametrize("placement", [Placement(BOTH), Placement()])
+def test_an_action_that_the_mask_forbids_ends_the_trial_if_actions_are_checked(
+    tmp_path: Path, placement: Placement
+) -> None:
+    (tmp_path / "left.py").write_text(LEFT)
+    environment = RoleSpec("mines", {"masks": True})
+    spec = replace(REMOTE, agent=RoleSpec(f"{tmp_path}/left.py:Left"), environment=environment)
+    with open_experiment(
+        spec, replace(placement, check_actions=True), lambda report: None, lambda: 0
+    ) as glue:
+        glue.rl_init(1)
+        with pytest.raises(PeerFailed, match=r"int 0 is 2, and the mask of the values from 0 on is \d{4}"):
+            glue.rl_episode(10)
 
 
 def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:

@@ -85,12 +85,19 @@ inline bool call_metrics(Measured* agent, Answer& answer) {
   return true;
 }
 
+inline Action call_step(Agent& agent, const Message& message) {
+  if (message.paced) {
+    if (auto* paced = dynamic_cast<Paced*>(&agent)) paced->pace(message.floats[1], message.floats[2]);
+  }
+  return agent.step(message.floats[0], message.first);
+}
+
 /// Carries a call out; returns false if it is not one of an agent's.
 inline bool carry_out(Agent& agent, const Message& message, Answer& answer) {
   switch (message.kind) {
     case kAgentInit: agent.init(message.body); return true;
     case kAgentStart: answer.action(agent.start(message.first)); return true;
-    case kAgentStep: answer.action(agent.step(message.floats[0], message.first)); return true;
+    case kAgentStep: answer.action(call_step(agent, message)); return true;
     case kAgentEnd: agent.end(message.floats[0]); return true;
     case kAgentCleanup: agent.cleanup(); return true;
     case kAgentMessage: answer.text(agent.message(message.body)); return true;
@@ -144,6 +151,7 @@ class Player {
     if (dynamic_cast<Saveable*>(&player) != nullptr) capabilities.emplace_back("save");
     if (dynamic_cast<Seedable*>(&player) != nullptr) capabilities.emplace_back("seed");
     if (dynamic_cast<Measured*>(&player) != nullptr) capabilities.emplace_back("metrics");
+    if (dynamic_cast<Paced*>(&player) != nullptr) capabilities.emplace_back("pace");
     capabilities.emplace_back("mask");
     if (std::is_same_v<Role, Environment>) capabilities.insert(capabilities.end(), {"extras", "truncate"});
     return capabilities;

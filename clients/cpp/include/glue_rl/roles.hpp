@@ -94,4 +94,13 @@ class Measured {
   virtual Metrics metrics() = 0;
 };
 
+/// An agent that is told how much time it has, where the environment does not wait for it: the capability `pace`.
+class Paced {
+ public:
+  virtual ~Paced() = default;
+
+  /// Takes, before a `step`, the seconds until the environment's next step, and those that the last answer took.
+  virtual void pace(double deadline, double latency) = 0;
+};
+
 }  // namespace glue_rl

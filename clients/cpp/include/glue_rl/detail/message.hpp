@@ -72,7 +72,7 @@ enum Kind : std::uint64_t {
 enum class Body { kNone, kBytes, kAction, kSeen, kObservation, kBoth };
 
 /// What a kind carries when it comes from the hub; a scalar is one letter: int, float, bool, text, or Texts, an array that
-/// may be missing.
+/// may be missing, or Pace, two floats that may be.
 struct Shape {
   const char* scalars;
   Body body;
@@ -89,7 +89,7 @@ inline Shape from_hub(std::uint64_t kind) {
       return {"", Body::kBytes};
     case kEnvStep: case kRlAgentStart: case kRlAgentStep: case kRlAgentMetrics: return {"", Body::kAction};
     case kAgentStart: return {"", Body::kSeen};
-    case kAgentStep: return {"f", Body::kSeen};
+    case kAgentStep: return {"fP", Body::kSeen};
     case kRlEnvStart: return {"", Body::kObservation};
     case kRlEnvStep: return {"fb", Body::kObservation};
     case kRlStart: return {"", Body::kBoth};
@@ -112,7 +112,8 @@ struct Message {
   std::uint64_t seq = 0;
   bool known = false;
   std::array<std::uint64_t, 2> ints{};
-  std::array<double, 2> floats{};
+  std::array<double, 3> floats{};
+  bool paced = false;  // whether a step says how much time there is
   bool truth = false;
   bool cut_off = false;  // whether that truth was 2
   std::array<std::string_view, 3> texts{};
@@ -153,6 +154,13 @@ inline Message decode(std::string_view header, const std::string_view* body) {
       case 'T': {
         if (items == static_cast<std::uint64_t>(3 + (type - shape.scalars))) break;
         for (auto left = reader.array(); left != 0; --left) message.capabilities.push_back(reader.text());
+        break;
+      }
+      case 'P': {
+        if (items == static_cast<std::uint64_t>(3 + (type - shape.scalars))) break;
+        message.paced = true;
+        message.floats[1] = reader.real();
+        message.floats[2] = reader.real();
         break;
       }
       default: message.texts[texts++] = reader.text(); break;
