@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY
+from experiment_runner.cli.options import DIRECTORY, FILE
 from experiment_runner.competition.season.starter import LANGUAGES, write_starter
 from glue.console import say
 from glue.errors import ConfigError
@@ -26,7 +26,7 @@ _LOOK_SECONDS: Final = 5.0
 
 _SEASON: Final = click.option(
     "--season",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     default=Path("season.toml"),
     show_default=True,
     metavar="FILE",

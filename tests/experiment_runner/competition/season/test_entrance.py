@@ -156,8 +156,7 @@ def test_the_tasks_are_told_without_what_is_hidden(entrance: Entrance) -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"tasks": 7}, {"limits": {"cpus": "many"}}, {"trials": None}, {"tasks": [{"name": "x"}]}],
+    "change", [{"tasks": 7}, {"limits": {"cpus": "many"}}, {"trials": None}, {"tasks": [{"name": "x"}]}]
 )
 def test_tasks_in_another_form_are_refused(entrance: Entrance, change: dict[str, Any]) -> None:
     with pytest.raises(ExperimentError, match="in another form"):
