@@ -62,6 +62,7 @@ class Enrolled:
         attempts: by number, in the order in which they were queued.
         excluded: the reason; empty if it is not excluded.
         paused: the reason; empty if it is not paused.
+        amends: whether it is paused for what it forfeits, until it submits another image.
         granted: number of attempts that are left of those that were granted.
         used: number of attempts that were charged to each day.
         failed: attempts that it has forfeited in a row since its last image, or since it was resumed.
@@ -73,6 +74,7 @@ class Enrolled:
     attempts: dict[int, Attempt] = field(default_factory=dict)
     excluded: str = ""
     paused: str = ""
+    amends: bool = False
     granted: int = 0
     used: Counter[date] = field(default_factory=Counter)
     failed: int = 0
@@ -192,12 +194,17 @@ class SeasonState:
             case journal.GRANT:
                 self.entrant(one.subject).granted += one.number
             case journal.PAUSE:
-                self.entrant(one.subject).paused = one.reason
-            case journal.RESUME | journal.IMAGE:
+                entrant = self.entrant(one.subject)
+                entrant.paused, entrant.amends = one.reason, one.number > 0
+            case journal.RESUME:
                 entrant = self.entrant(one.subject)
                 entrant.paused, entrant.failed = "", 0
-                if one.act == journal.IMAGE:
-                    entrant.act = replace(entrant.act, player=one.player, id=one.id)
+            case journal.IMAGE:
+                entrant = self.entrant(one.subject)
+                entrant.act = replace(entrant.act, player=one.player, id=one.id)
+                entrant.failed = 0
+                if entrant.amends:
+                    entrant.paused = ""
             case _:
                 raise ExperimentError(f"the journal has an act {one.act!r:.80}, which there is not")
 
