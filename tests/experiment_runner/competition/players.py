@@ -33,6 +33,9 @@ class Walker(Agent):
     def agent_seed(self, seed: int) -> None:
         self.seeds.append(seed)
 
+    def agent_init(self, task_spec: str) -> None:
+        self.steps = 0  # also of a trial that starts over, whose program has not noticed
+
     def act(self) -> Action:
         self.steps += 1
         return Action(ints=[self.path[self.steps % len(self.path)]])
