@@ -18,9 +18,9 @@ from experiment_runner.competition.season.control import Attempt, Enrol, TryLate
 from experiment_runner.competition.season.entrance import Denied, Rate
 from experiment_runner.competition.season.trying import competition_of
 from glue.client.libzmq import new_pair
-from glue.client.season import Page, Season, SeasonBusy, SeasonRefused, join
+from glue.client.season import Membership, Page, Season, SeasonBusy, SeasonRefused, join
 from glue.errors import ExperimentError
-from glue.keys.certificates import encode
+from glue.keys.certificates import encode, write_pair
 from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
 from tests.system.runs import wait_until
 
@@ -44,12 +44,20 @@ def entrance(shared: Entrance) -> Entrance:
     return shared
 
 
-def test_whoever_joins_shows_their_key(entrance: Entrance) -> None:
+def test_whoever_joins_shows_their_key(entrance: Entrance, tmp_path: Path) -> None:
     pair, hub = new_pair(), encode(new_pair().public)
+    _, secret = write_pair(tmp_path, "bob", pair)
     entrance.replies = [{"hub_key": hub, "token": "t", "alias": "red fox"}]
-    reply = join(Page(entrance.url), "bob", pair, "lemonade", "")
-    assert reply == {"hub_key": hub, "token": "t", "alias": "red fox"}
+    entrance.replies += [{"hub_key": "x", "token": "t"}, {"hub_key": hub, "token": "\x1b[2J"}]
+    page = Page(entrance.url)
+    assert join(page, "bob", secret, "lemonade") == (
+        Membership(entrance.url, "bob", secret, hub, "t"),
+        "red fox",
+    )
     assert entrance.asked == [Enrol("bob", encode(pair.public), "lemonade")]
+    for why in ("without the key of its hubs", "token that no address can hold"):
+        with pytest.raises(SeasonRefused, match=why):
+            join(page, "bob", secret)
 
 
 def test_nobody_joins_with_the_key_of_another(entrance: Entrance) -> None:
@@ -189,20 +197,23 @@ def test_an_upload_that_stops_half_way_leaves_nothing_and_is_one_at_a_time(tmp_p
             wait_until(lambda: len(left(entrance)) == 1, "the upload")
             season = Season(entrance.membership(tmp_path))
             with pytest.raises(SeasonBusy, match="another image"):
-                season.ask("image", io.BytesIO(b"x"), "PUT")
+                season.submit(io.BytesIO(b"x"))
         wait_until(lambda: not left(entrance), "its end")
         assert not entrance.asked
 
 
 def test_an_upload_that_is_too_large_is_refused_before_it_comes(entrance: Entrance, tmp_path: Path) -> None:
     with pytest.raises(SeasonRefused, match=r"has 2\.0 MiB, and 1 MiB are allowed"):
-        Season(entrance.membership(tmp_path)).ask("image", io.BytesIO(bytes(2**21)), "PUT")
+        Season(entrance.membership(tmp_path)).submit(io.BytesIO(bytes(2**21)))
     assert not left(entrance)
 
 
-def test_an_upload_that_is_no_image_is_refused(entrance: Entrance, tmp_path: Path) -> None:
+def test_an_upload_that_is_no_image_is_refused(
+    entrance: Entrance, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("glue.client.season._SECONDS", 0.05)  # an image takes longer than other requests
     with pytest.raises(SeasonRefused, match="not as docker save writes it"):
-        Season(entrance.membership(tmp_path)).ask("image", io.BytesIO(b"no image" * 1000), "PUT")
+        Season(entrance.membership(tmp_path)).submit(io.BytesIO(b"no image" * 1000))
     assert not left(entrance)
     assert not entrance.asked
 
@@ -212,7 +223,7 @@ def test_a_season_may_take_no_images(tmp_path: Path) -> None:
         entrance_at(tmp_path / "run", FILE.replace("images = true", "images = false")) as entrance,
         pytest.raises(SeasonRefused, match="takes no images"),
     ):
-        Season(entrance.membership(tmp_path)).ask("image", io.BytesIO(b"x"), "PUT")
+        Season(entrance.membership(tmp_path)).submit(io.BytesIO(b"x"))
 
 
 def test_an_entrant_that_asks_too_often_has_to_wait(tmp_path: Path) -> None:
