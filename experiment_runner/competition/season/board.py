@@ -9,6 +9,7 @@ everything that follows from it, as if it had been so from the start.
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,6 +46,14 @@ _OF_ALL: Final = (
 _OF_ITS_OWNER: Final = (journal.PAUSE, journal.RESUME, journal.GRANT)
 """Acts that are shown to everybody, and those about an entrant that are shown to its owner."""
 
+_AGENT: Final = ("agent ", "the agent ")
+_DID: Final = re.compile(
+    r"raised in agent_(init|start|step|end|message|cleanup)\b|was unreachable for \d+\.\d s|left\b|"
+    r"ran out of time|used more than [\d.e+]+ s in all|took more than [\d.e+]+ s to initialise|"
+    r"sent a malformed message"
+)
+"""What a hub says of an agent that has failed, after its name and before its own words."""
+
 _TIMES: Final = 200
 _FLIPS: Final = 999
 _LEVEL: Final = 0.05
@@ -64,7 +73,9 @@ class AttemptRow:
         score: see above, over the tasks that this viewer may know; NaN unless verified or forfeited.
         tasks: the score of each of these tasks.
         counts: whether it is among those that make its entrant's score.
-        forfeits: of its trials; numbers are those of the levels, from 0.
+        forfeits: of its trials; numbers are those of the levels, from 0. Others than the owner and the
+            organiser are told the rule that ended a trial, and not the words of the entrant's program: it
+            may say in them who it is, or anything else.
         place: in the queue, from 1; 0 if it does not wait.
         instead: number of the attempt that it replaces; 0 if none.
         withdrawn: whether its owner has withdrawn it.
@@ -445,7 +456,11 @@ class _Board:
             score=_total(scores),
             tasks=self._by_task(scores),
             counts=placed is not None and one.number in placed.counting,
-            forfeits=tuple(lost for lost in played.forfeits if lost.task in self._tasks),
+            forfeits=tuple(
+                lost if knows else replace(lost, reason=_rule(lost.reason))
+                for lost in played.forfeits
+                if lost.task in self._tasks
+            ),
         )
 
     def _by_task(self, scores: FloatArray) -> dict[str, float]:
@@ -464,6 +479,14 @@ class _Board:
 def _knows(viewer: str, name: str) -> bool:
     """Return whether a viewer may know everything about an entrant."""
     return viewer in (ORGANISER, name)
+
+
+def _rule(reason: str) -> str:
+    """Return the reason of a forfeit without what its entrant has chosen: names and messages."""
+    if not reason.startswith(_AGENT):
+        return reason.partition(": ")[0]
+    did = _DID.search(reason)
+    return "its agent " + (did[0] if did else "failed")
 
 
 def _counting(totals: Sequence[float], count: str) -> list[int]:

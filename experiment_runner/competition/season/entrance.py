@@ -24,6 +24,7 @@ import tempfile
 import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Final, cast
 
@@ -36,7 +37,9 @@ from experiment_runner.competition.course import course_of
 from experiment_runner.competition.season.control import NoServer, ask
 from experiment_runner.competition.season.images import MODULE
 from experiment_runner.competition.season.trying import tasks_of
+from experiment_runner.competition.settings import load_competition
 from experiment_runner.competition.starters import name_of_run
+from experiment_runner.store.layout import COMPETITION_FILE
 from glue.client.season import PREFIX
 from glue.console import one_line
 from glue.errors import GlueError
@@ -48,6 +51,9 @@ _MOST_UPLOADS: Final = 4
 """Images that are received at once."""
 
 _UPLOAD_SECONDS: Final = 900.0
+_LOAD_SECONDS: Final = 900.0
+"""Time to check an image, and for the engine to take it."""
+
 _UPLOADS: Final = "uploads"
 """Folder in the directory of a season for images on their way to the engine."""
 
@@ -176,10 +182,13 @@ class _Entrance:
 
     async def tasks(self, request: Request) -> _Answer:
         self._of_address.take(_address(request))
-        return tasks_of((await run_in_threadpool(course_of, self._directory)).competition)
+        # Not the journal, which anybody could make the page read, however long it is.
+        file = self._directory / COMPETITION_FILE
+        return tasks_of(await run_in_threadpool(partial(load_competition, file, follow=False)))
 
     async def image(self, request: Request) -> _Answer:
         entrant = await self._sender(request)
+        self._images.take(entrant)
         season = (await run_in_threadpool(course_of, self._directory)).season
         if season is None or not season.images:
             raise Denied("this season takes no images: play with glue-agent and season.toml", 403)
@@ -189,7 +198,6 @@ class _Entrance:
         if int(size) > season.most_bytes:
             most = f"{season.most_bytes / 2**20:g} MiB"
             raise Denied(f"the image has {int(size) / 2**20:.1f} MiB, and {most} are allowed", 413)
-        self._images.take(entrant)
         with self._upload(entrant, int(size)) as file:
             await _received(request, file, int(size))
             found = await _loaded(file.name, season.most_bytes, f"glue-season/{name_of_run(self._directory)}")
@@ -287,10 +295,13 @@ async def _loaded(path: str, most: int, repository: str) -> str:
     command = (sys.executable, "-P", "-m", MODULE, path, str(most), repository)
     process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
     try:
-        printed, _ = await process.communicate()
-    except asyncio.CancelledError:
-        process.kill()
-        raise
+        async with asyncio.timeout(_LOAD_SECONDS):
+            printed, _ = await process.communicate()
+    except TimeoutError:
+        raise Denied("the image cannot be loaded in time: tell the season's organiser", 503, 600) from None
+    finally:
+        if process.returncode is None:
+            process.kill()
     try:
         found = json.loads(printed)
     except ValueError:

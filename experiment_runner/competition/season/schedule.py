@@ -8,10 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime, time, timedelta
+from typing import Final
 
 from experiment_runner.competition.records.journal import REQUEST, Act, act
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from glue.errors import ExperimentError
+
+_MOST_LEFT: Final = 100
+"""Attempts of an entrant in a day that it may leave while they wait: they cost nothing, and are kept."""
 
 
 def queue(state: SeasonState) -> list[Attempt]:
@@ -78,6 +82,10 @@ def request(state: SeasonState, name: str, now: datetime) -> Act:
         raise ExperimentError(f"{name} is paused: {entrant.paused}")
     if len(entrant.waiting) >= season.most_waiting:
         raise ExperimentError(f"{season.most_waiting} attempts of {name} wait already")
+    today = now.astimezone(season.days).date()
+    gone = (one for one in entrant.attempts.values() if one.state == "cancelled")
+    if sum(one.requested.astimezone(season.days).date() == today for one in gone) >= _MOST_LEFT:
+        raise ExperimentError(f"{name} has left {_MOST_LEFT} attempts of today while they waited: no more")
     if left(state, entrant, now) < 1:
         again = returns_at(state, now)
         raise ExperimentError(

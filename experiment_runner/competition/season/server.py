@@ -406,7 +406,10 @@ class Server(Matches):
             raise ExperimentError(f"attempt {number} is played: it can be withdrawn when it is over")
         if one.withdrawn or one.state in ("ours", "cancelled"):
             raise ExperimentError(f"attempt {number} does not count anyway")
-        kind = journal.CANCEL if one.state == "waiting" else journal.WITHDRAW
+        kind, count = journal.CANCEL if one.state == "waiting" else journal.WITHDRAW, self._state.season.count
+        if kind == journal.WITHDRAW and count != "best":
+            which = "the last attempt counts" if count == "last" else "all attempts count"
+            raise ExperimentError(f"{which} in this season, so none that is over can be withdrawn")
         self._record(act(kind, name, "its owner has withdrawn it", now=now, number=number))
         return {}
 
@@ -613,9 +616,10 @@ class Server(Matches):
         self._rests.pop(name, None)
         self._record(act(journal.OVER, name, slot.forfeit, now=now, number=slot.attempt.number))
         most = self._state.season.failures
-        if self._state.entrants[name].failed >= most:
+        entrant = self._state.entrants[name]
+        if entrant.failed >= most and not entrant.paused:
             why = f"it has forfeited {most} attempts in a row, the last in {slot.forfeit}"
-            self._record(act(journal.PAUSE, name, why, now=now))
+            self._record(act(journal.PAUSE, name, why, now=now, number=most))
 
     def _fail(self, slot: _Slot, why: str) -> None:
         """Record that an attempt has failed, not by its entrant's fault, and let another wait for it."""

@@ -61,6 +61,7 @@ class Enrolled:
         attempts: by number, in the order in which they were queued.
         excluded: the reason; empty if it is not excluded.
         paused: the reason; empty if it is not paused.
+        amends: whether it is paused for what it forfeits, until it submits another image.
         granted: number of attempts that are left of those that were granted.
         used: number of attempts that were charged to each day.
         failed: attempts that it has forfeited in a row since its last image, or since it was resumed.
@@ -72,6 +73,7 @@ class Enrolled:
     attempts: dict[int, Attempt] = field(default_factory=dict)
     excluded: str = ""
     paused: str = ""
+    amends: bool = False
     granted: int = 0
     used: Counter[date] = field(default_factory=Counter)
     failed: int = 0
@@ -234,12 +236,14 @@ class SeasonState:
             case journal.READMIT:
                 entrant.excluded = ""
             case journal.PAUSE:
-                entrant.paused = one.reason
+                entrant.paused, entrant.amends = one.reason, one.number > 0
             case journal.RESUME:
                 entrant.paused, entrant.failed = "", 0
             case journal.IMAGE:
                 entrant.act = replace(entrant.act, player=one.player, id=one.id)
-                entrant.paused, entrant.failed = "", 0
+                entrant.failed = 0
+                if entrant.amends:
+                    entrant.paused = ""
             case journal.GRANT:
                 entrant.granted += one.number
             case _:

@@ -48,6 +48,18 @@ def test_a_thousand_attempts_of_one_delay_another_by_one() -> None:
         ask(season, "ann")
 
 
+def test_attempts_that_are_left_while_they_wait_have_an_end() -> None:
+    season = made("attempts_per_day = 1")
+    state = season.state
+    for number in range(1, 101):
+        state.apply(request(state, "ann", season.now))
+        state.apply(act(journal.CANCEL, "ann", "", now=season.now, number=number))
+    with pytest.raises(ExperimentError, match="ann has left 100 attempts of today"):
+        request(state, "ann", season.now)
+    assert request(state, "bob", season.now).number == 1
+    assert request(state, "ann", season.now + timedelta(days=1)).number == 101
+
+
 _WISHES = st.lists(
     st.tuples(st.sampled_from(["ask", "start", "over", "ours"]), st.sampled_from(NAMES)), max_size=60
 )

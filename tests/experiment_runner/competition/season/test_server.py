@@ -28,7 +28,7 @@ from experiment_runner.store.lock import DirectoryTaken
 from glue.client.libzmq import new_pair
 from glue.errors import ConfigError, ExperimentError
 from glue.keys.certificates import encode
-from tests.experiment_runner.competition.season.inside import CODE, SECRET, Absent, Raising, Season
+from tests.experiment_runner.competition.season.inside import CODE, FILE, SECRET, Absent, Raising, Season
 
 
 @pytest.fixture
@@ -303,6 +303,34 @@ def test_an_owner_withdraws_what_is_over_or_waits(season: Season) -> None:
     season.ask(Attempt("alice"))
     season.ask(Withdraw("alice", 2))
     assert season.states("alice")[2] == "cancelled"
+
+
+@pytest.mark.parametrize(
+    ("count", "why"), [("last", "the last attempt counts"), ("mean", "all attempts count")]
+)
+def test_nobody_hides_an_attempt_where_the_best_does_not_count(tmp_path: Path, count: str, why: str) -> None:
+    season = Season(tmp_path, FILE.replace("failures = 2", f'count = "{count}"'))
+    with season.stack:
+        season.enrol("alice")
+        season.attempt("alice")
+        with pytest.raises(ExperimentError, match=why):
+            season.ask(Withdraw("alice", 1))
+
+
+def test_an_image_ends_the_pause_for_what_was_forfeited_and_not_that_of_the_organiser(tmp_path: Path) -> None:
+    season = Season(tmp_path, FILE.replace("failures = 2", "failures = 2\nimages = true"))
+    image = Submit("alice", "sha256:" + 64 * "0", "alice:1")
+    with season.stack:
+        season.enrol("alice")
+        season.executor.agents["alice"] = Raising()
+        season.attempt("alice")
+        season.attempt("alice")
+        pauses = [season.state.entrants["alice"].paused]
+        season.ask(image)
+        pauses.append(season.state.entrants["alice"].paused)
+        season.act("pause", "alice")
+        season.ask(image)
+        assert [*map(bool, pauses), season.state.entrants["alice"].paused] == [True, False, "because"]
 
 
 def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(tmp_path: Path) -> None:
