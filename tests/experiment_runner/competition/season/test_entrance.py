@@ -181,19 +181,37 @@ def left(entrance: Entrance) -> list[Path]:
     return list((entrance.folder / "uploads").glob("*"))
 
 
-def put(entrance: Entrance, size: int, content: bytes) -> socket.socket:
-    """Begin to upload an image."""
-    headers = entrance.headers("PUT", "/season/api/image", digest(b"x" * size))
-    lines = ["PUT /season/api/image HTTP/1.1", "Host: here", f"Content-Length: {size}"]
+def begin(entrance: Entrance, size: int, content: bytes, method: str, what: str) -> socket.socket:
+    """Begin to send a request."""
+    path = f"/season/api/{what}"
+    headers = entrance.headers(method, path, digest(b"x" * size))
+    lines = [f"{method} {path} HTTP/1.1", "Host: here", f"Content-Length: {size}"]
     lines += [f"{name}: {value}" for name, value in headers.items()]
     connected = socket.create_connection(("127.0.0.1", entrance.port))
     connected.sendall("\r\n".join([*lines, "", ""]).encode() + content)
     return connected
 
 
+@pytest.mark.parametrize("what", ["join", "attempt"])
+def test_a_body_that_does_not_come_holds_nothing(
+    entrance: Entrance, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("experiment_runner.competition.season.entrance._JSON_SECONDS", 0.05)
+    with begin(entrance, 100, b"{", "POST", what) as connected:
+        assert connected.recv(100).startswith(b"HTTP/1.1 408 ")
+
+
+def test_a_machine_that_cannot_keep_an_image_says_so(tmp_path: Path) -> None:
+    with entrance_at(tmp_path / "run") as entrance:
+        (tmp_path / "run/uploads").write_text("")
+        with pytest.raises(SeasonBusy, match="cannot keep the image: File exists") as caught:
+            Season(entrance.membership(tmp_path)).submit(io.BytesIO(b"x"))
+        assert caught.value.seconds == 600
+
+
 def test_an_upload_that_stops_half_way_leaves_nothing_and_is_one_at_a_time(tmp_path: Path) -> None:
     with entrance_at(tmp_path / "run") as entrance:
-        with put(entrance, 100_000, b"x" * 50_000):
+        with begin(entrance, 100_000, b"x" * 50_000, "PUT", "image"):
             wait_until(lambda: len(left(entrance)) == 1, "the upload")
             season = Season(entrance.membership(tmp_path))
             with pytest.raises(SeasonBusy, match="another image"):
