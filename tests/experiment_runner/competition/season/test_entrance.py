@@ -157,13 +157,19 @@ def test_the_tasks_are_told_without_what_is_hidden(entrance: Entrance) -> None:
         ("secret", {"random_start": False}),
     ]
     found = competition_of(told)
-    assert [(task.steps, task.episodes) for task in found.tasks] == [(20, 0), (0, 3)]
+    assert [(task.steps, task.episodes, task.rate) for task in found.tasks] == [(20, 0, 0.0), (0, 3, 50.0)]
     assert found.trials == 2
 
 
 @pytest.mark.parametrize(
     "change",
-    [{"tasks": 7}, {"limits": {"cpus": "many"}}, {"trials": None}, {"tasks": [{"name": "x"}]}],
+    [
+        {"tasks": 7},
+        {"trials": 10**6},
+        {"limits": {"cpus": "many"}},
+        {"trials": None},
+        {"tasks": [{"name": "x"}]},
+    ],
 )
 def test_tasks_in_another_form_are_refused(entrance: Entrance, change: dict[str, Any]) -> None:
     with pytest.raises(ExperimentError, match="in another form"):
