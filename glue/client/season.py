@@ -130,10 +130,8 @@ def read_membership(path: Path) -> Membership:
         return msgspec.convert(found, Membership, dec_hook=lambda _, name: path.parent / str(name))
     except FileNotFoundError:
         raise ConfigError(f"there is no {path}: {hint}", settings=("season",)) from None
-    except msgspec.ValidationError as error:
+    except (msgspec.ValidationError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: {one_line(str(error), _MOST_SHOWN)}; {hint}") from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is not TOML: {one_line(str(error), _MOST_SHOWN)}; {hint}") from None
 
 
 class Page:
@@ -207,7 +205,10 @@ class Page:
             raise SeasonBusy(
                 why or f"the page {self.url} answered {status}", float(after) if after.isdecimal() else 5.0
             )
-        if found is None:
+        if 300 <= status < 400:  # such as a proxy that wants https
+            place = one_line(answer.headers.get("Location", "another place"), _MOST_SHOWN)
+            why = f"the page {self.url} leads to {place}: give the address to which browsers come"
+        elif found is None:
             why = f"the page {self.url} answered {status}, not as a season does: {why or 'nothing'}"
         raise SeasonRefused(why)
 
@@ -226,7 +227,7 @@ class Progress(msgspec.Struct, frozen=True):
         session: name of the session there.
         outcome: of an attempt that is over: verified, forfeited, ours or withdrawn.
         score: None if it is not told.
-        low, high: the interval of the score on the board.
+        low, high: the interval on the board, of the attempts that count.
         of: number of those that have a place.
         left: attempts left.
         returns: when new ones come.
@@ -267,12 +268,11 @@ class Progress(msgspec.Struct, frozen=True):
         if self.outcome != "verified":
             yield self.outcome + (f" ({self.why})" if self.why else "")
         if self.score is not None:
-            known = self.low is not None and self.high is not None
-            yield f"score {self.score:.10g}" + (
-                f" (95 % interval {self.low:.6g} to {self.high:.6g})" if known else ""
-            )
+            yield f"score {self.score:.10g}"
         if self.place is not None:
-            yield f"place {self.place} of {self.of}"
+            known = self.low is not None and self.high is not None
+            interval = f" (95 % interval of what counts: {self.low:.6g} to {self.high:.6g})" if known else ""
+            yield f"place {self.place} of {self.of}{interval}"
         if self.left is not None:
             yield f"attempts left: {self.left}" + (f", new ones at {self.returns}" if self.returns else "")
 

@@ -66,6 +66,7 @@ def page() -> Iterator[Script]:
             data = body if isinstance(body, bytes) else json.dumps(body).encode()
             self.send_response(status)
             self.send_header("Retry-After", script.retry_after)
+            self.send_header("Location", "https://x")
             self.end_headers()
             self.wfile.write(data)
 
@@ -192,7 +193,7 @@ def test_who_has_no_attempt_left_today_is_not_kept_waiting(tmp_path: Path) -> No
         ((404, b"<html>"), "answered 404, not as a season does: <html>"),
         ((200, {"state": "over", "attempt": 1, "score": 10**400}), "no attempt"),
         ((200, {"state": "resting", "attempt": 1}), r"no attempt: Invalid enum value 'resting'"),
-        ((302, b""), "answered 302"),
+        ((302, b""), "leads to https://x: give the address"),
         ((200, b"[" * 10_000), "not as a season"),
         ((403, {"error": "\x1b[2Jcleared"}), r"^\?\[2Jcleared"),
     ],
@@ -226,8 +227,8 @@ def test_a_membership_is_read_as_it_was_written(tmp_path: Path) -> None:
     ("text", "why"),
     [
         ("name = 'x'", "missing required field `page`"),
-        ("page = 1", r"Expected `str`, got `int` - at `\$\.page`"),
-        ("[", "is not TOML"),
+        ("page = 1", "Expected `str`"),
+        ("[", "Invalid initial"),
     ],
 )
 def test_a_membership_that_is_none_says_what_it_lacks(tmp_path: Path, text: str, why: str) -> None:
@@ -242,32 +243,18 @@ def test_a_membership_that_is_none_says_what_it_lacks(tmp_path: Path, text: str,
     ("reply", "line"),
     [
         (
-            {
-                "attempt": 3,
-                "outcome": "verified",
-                "score": 12.5,
-                "low": 10.0,
-                "high": 15.25,
-                "place": 2,
-                "of": 7,
-            },
-            "attempt 3 is over; score 12.5 (95 % interval 10 to 15.25); place 2 of 7",
+            Progress("over", 3, score=12.5, low=13.0, high=15.25, place=2, of=7),
+            "attempt 3 is over; score 12.5; place 2 of 7 (95 % interval of what counts: 13 to 15.25)",
         ),
         (
-            {
-                "attempt": 4,
-                "outcome": "forfeited",
-                "why": "its bank is empty",
-                "left": 1,
-                "returns": "2026-12-02",
-            },
+            Progress("over", 4, "its bank is empty", outcome="forfeited", left=1, returns="2026-12-02"),
             "attempt 4 is over; forfeited (its bank is empty); attempts left: 1, new ones at 2026-12-02",
         ),
-        ({"attempt": 5, "outcome": "verified", "left": 0}, "attempt 5 is over; attempts left: 0"),
+        (Progress("over", 5, left=0), "attempt 5 is over; attempts left: 0"),
     ],
 )
-def test_a_result_is_a_line(reply: dict[str, Any], line: str) -> None:
-    assert str(Progress("over", **reply)) == line
+def test_a_result_is_a_line(reply: Progress, line: str) -> None:
+    assert str(reply) == line
 
 
 def test_a_program_without_keys_plays_through_a_relay(tmp_path: Path) -> None:

@@ -76,15 +76,7 @@ def test_an_attempt_that_an_image_plays_is_waited_for(entrance: Entrance, tmp_pa
 
 
 def test_an_attempt_is_played_and_its_result_is_the_output(entrance: Entrance, tmp_path: Path) -> None:
-    over = {
-        "state": "over",
-        "attempt": 2,
-        "outcome": "verified",
-        "score": 7.5,
-        "place": 1,
-        "of": 3,
-        "left": 4,
-    }
+    over = {"state": "over", "attempt": 2, "score": 7.5, "place": 1, "of": 3, "left": 4}
     entrance.replies = [{"state": "verifying", "attempt": 2}, over]
     done = run(tmp_path, "glue-agent", "random", "--season", "season.toml")
     assert done.returncode == 0, done.stderr
