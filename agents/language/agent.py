@@ -26,6 +26,8 @@ class LanguageAgent(Agent):
         options: of the agent.
     """
 
+    agent_masks = True
+
     def __init__(self, options: Any) -> None:
         self.options = options
         self.game: Final = Game(options)

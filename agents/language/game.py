@@ -169,7 +169,7 @@ class Game:
         """Take the result of the last action."""
         self._episode.seen = observation
         self._count(reward)
-        if self.phase is Phase.PLAYING and (self._stops(reward) or not self._plan):
+        if self.phase is Phase.PLAYING and (self._stops(reward) or not self._goes_on()):
             self._go(Phase.CHOOSING)
 
     def end(self, reward: float) -> None:
@@ -197,7 +197,7 @@ class Game:
         self._episode.still += 1
         if self._episode.still > _MOST_STILL:
             raise GlueError(f"a forfeit episode did not end in {_MOST_STILL} steps: give it a step limit")
-        return self.texts.still
+        return self.texts.still_at(self._episode.seen)
 
     @property
     def counts(self) -> Counts:
@@ -254,8 +254,8 @@ class Game:
         else:
             text = f"Turn {self.turn}. {text}.\n{self.texts.seen(now.seen)}"
             if options.list_actions:
-                text += f"\nLegal actions: {self.texts.legal}"
-                data["legal"] = [*self.texts.names]
+                data["legal"] = self.texts.legal_at(now.seen)
+                text += f"\nLegal actions: {', '.join(data['legal']) or self.texts.form}"
         return Answer(text, data)
 
     def act(self, turn: int, actions: object, until: str = Until.END) -> None:
@@ -271,7 +271,7 @@ class Game:
         try:
             if until not in [*Until]:
                 raise IllegalChoice(f"until is one of {', '.join(Until)}")
-            self._plan = deque(self.texts.actions(actions))
+            self._plan = deque(self.texts.actions(actions, self._episode.seen))
         except IllegalChoice as error:
             self._refuse(str(error))
         else:
@@ -338,6 +338,11 @@ class Game:
         self._episode.steps += 1
         self._episode.total += reward
         self._episode.reward += reward
+
+    def _goes_on(self) -> bool:
+        """Return whether the plan has a next action, which is legal now."""
+        assert self.texts is not None
+        return bool(self._plan) and self.texts.allows(self._plan[0], self._episode.seen)
 
     def _stops(self, reward: float) -> bool:
         """Return whether the plan stops early, after an action with this reward."""

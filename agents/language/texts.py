@@ -12,10 +12,12 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Final
 
+import numpy as np
+
 from glue.console import one_line, printable
 from glue.errors import GlueError, LocalProtocolError
 from glue.plugins.words import find_picture, find_words
-from glue.taskspec import Range, Ranges, Space, TaskSpec, parse_task_spec
+from glue.taskspec import Range, Ranges, Space, TaskSpec, legal_values, mask_sizes, parse_task_spec
 from glue.types import Action, Observation
 
 _MOST_LISTED: Final = 64  # actions that get names of their numbers
@@ -40,8 +42,7 @@ class Texts:
 
     Attributes:
         rules: the rules of the game, in words.
-        names: the legal actions by name; empty if they are too many to be named.
-        still: the action of who stands still.
+        names: the actions by name; empty if they are too many to be named.
 
     Raises:
         TaskSpecError: the task spec does not parse.
@@ -61,16 +62,40 @@ class Texts:
         self._picture = find_picture(spec)
         self._most = most
         self.names: Final[Mapping[str, Action]] = self._words.actions or _enumerated(spec.actions)
-        self.still: Final = Action(*spec.actions.still())
+        self._sizes = mask_sizes(spec.actions) if spec.masks else ()
+        self._least = [int(range_.ends[0]) for range_ in spec.actions.ints] if spec.masks else []
+        self._still = Action(*spec.actions.still())
         self.rules: Final = "\n".join(filter(None, self._rules(spec, listed)))
 
     @property
-    def legal(self) -> str:
-        """The legal actions, in a line."""
+    def form(self) -> str:
+        """The actions in a line: their names, or what they consist of."""
         return ", ".join(self.names) or f"{_numbers(self._spec.actions)}, separated by spaces"
 
-    def actions(self, names: object) -> list[Action]:
+    def allows(self, action: Action, observation: Observation) -> bool:
+        """Return whether an observation's mask allows an action."""
+        legal = legal_values(observation, self._sizes)
+        values = zip(legal, action.ints.tolist(), self._least, strict=True) if legal else ()
+        return all(allowed[value - least] for allowed, value, least in values)
+
+    def legal_at(self, observation: Observation) -> list[str]:
+        """Return the names of the actions that an observation's mask allows; none if they have no names."""
+        return [name for name, action in self.names.items() if self.allows(action, observation)]
+
+    def still_at(self, observation: Observation) -> Action:
+        """Return the action of who stands still; where that is illegal, the first values that are legal."""
+        if self.allows(self._still, observation):
+            return self._still
+        legal = legal_values(observation, self._sizes)
+        ints = [int(np.argmax(allowed)) + least for allowed, least in zip(legal, self._least, strict=True)]
+        return Action(ints, self._still.doubles)
+
+    def actions(self, names: object, observation: Observation) -> list[Action]:
         """Return the actions of a choice: a list of names or numbers, each perhaps with `*` and how often.
+
+        Args:
+            names: what was chosen.
+            observation: at which the first action is taken; its mask says nothing of those that follow.
 
         Raises:
             IllegalChoice: one is not legal, there is none, or there are too many.
@@ -86,6 +111,9 @@ class Texts:
                 break  # A million names are not worth reading.
         if not 0 < len(chosen) <= self._most:
             raise IllegalChoice(f"a choice has 1 to {self._most} actions")
+        if not self.allows(chosen[0], observation):
+            legal = ", ".join(self.legal_at(observation)) or "others"
+            raise IllegalChoice(f"{one_line(names[0], 60)!r} is illegal in this turn; legal are: {legal}")
         return chosen
 
     def seen(self, observation: Observation) -> str:
@@ -118,7 +146,7 @@ class Texts:
                 return action
         except (ValueError, LocalProtocolError):
             pass
-        raise IllegalChoice(f"{one_line(name, 60)!r} is no legal action; legal are: {self.legal}")
+        raise IllegalChoice(f"{one_line(name, 60)!r} is no legal action; legal are: {self.form}")
 
     def _rules(self, spec: TaskSpec, listed: bool) -> Iterator[str]:
         yield "You are the agent in a task of reinforcement learning: earn as much reward as you can."
@@ -128,8 +156,10 @@ class Texts:
         if spec.observations.stated:
             yield f"An observation: {_numbers(spec.observations)}."
         yield f"The reward of a step: a number{_between(spec.rewards)}."
-        yield f"{'Legal actions' if self.names else 'An action'}: {self.legal}."
+        yield f"{'Legal actions' if self.names else 'An action'}: {self.form}."
         yield f"A choice is one action, or up to {self._most} in a row; NAME*3 is an action three times."
+        if self._sizes:
+            yield "Not every action is legal in every turn; the answer to an illegal one says which are."
         yield f"Legal actions are {'' if listed else 'not '}listed each time. Time waits as you choose."
 
 

@@ -8,10 +8,10 @@ from itertools import repeat
 
 import pytest
 
-from agents.language.game import Answer, Game, GameOptions, GameOver, NotNow, Until
+from agents.language.game import Answer, Game, GameOptions, GameOver, NotNow, Phase, Until
 from env_server.toys import SkeletonEnvironment
 from glue.errors import GlueError
-from glue.types import Observation
+from glue.types import Action, Observation
 
 SPEC = SkeletonEnvironment().env_init()
 
@@ -199,3 +199,25 @@ def test_raw_answers_are_kept_within_bounds(table: Table) -> None:
     assert len(json.dumps(record, ensure_ascii=False)) < 9000
     table.game.note("next")
     assert table.game.record()["newest"] == [{"turn": 31, "answer": "next"}]
+
+
+def test_a_mask_says_what_is_legal_and_ends_a_sequence() -> None:
+    right = [False, True]
+    game = Game(GameOptions(list_actions=True, illegal=2))
+    game.task(SPEC.replace("EXTRA ", "EXTRA masks "))
+    game.start(Observation([10], mask=right))
+    assert game.view().data["legal"] == ["1"]
+
+    game.act(1, ["0", "1"])
+    refused = game.answer(1)
+    assert refused is not None
+    assert refused.error
+    assert "'0' is illegal in this turn; legal are: 1" in refused.text
+
+    game.act(2, ["1*2", "0", "1"])
+    for mask, goes_on in ((None, True), (right, False)):
+        assert game.next_action() == Action([1])
+        game.step(0.0, Observation([11], mask=mask))
+        assert (game.phase is Phase.PLAYING) == goes_on
+    game.give_up(3)
+    assert game.next_action() == Action([1])  # standing still, 0, is illegal

@@ -50,7 +50,7 @@ def test_rules_say_the_task_spec_in_words() -> None:
 
 def test_actions_have_names_numbers_and_repeats() -> None:
     def ints(spec: str, *choice: str) -> list[list[int]]:
-        return [action.ints.tolist() for action in made(spec).actions([*choice])]
+        return [action.ints.tolist() for action in made(spec).actions([*choice], Observation())]
 
     assert ints(GRID, "1 -1", "2 0*2", "2 1 * 1") == [[1, -1], [2, 0], [2, 0], [2, 1]]
     assert ints(MARIO_SPEC, "Right+Jump", "stay*2", "-1 0 1") == [[1, 1, 0], *[[0, 0, 0]] * 2, [-1, 0, 1]]
@@ -65,7 +65,7 @@ def test_actions_have_names_numbers_and_repeats() -> None:
 )
 def test_what_is_no_legal_choice_is_refused_in_words(choice: object) -> None:
     with pytest.raises(IllegalChoice) as refusal:
-        made(GRID).actions(choice)
+        made(GRID).actions(choice, Observation())
     assert str(refusal.value).isprintable()
     assert len(str(refusal.value)) < 300
 
@@ -81,7 +81,7 @@ def test_many_actions_have_no_names() -> None:
     assert made(GRID.replace("(1 2) (-1 1)", "(64 0 1)")).names == {}
     assert made(GRID.replace("(1 2)", "(NEGINF 2)")).names == {}
     assert made(CAR).names == {}
-    assert made(CAR).actions(["1 0.25 -1"]) == [Action([1], [0.25, -1.0])]
+    assert made(CAR).actions(["1 0.25 -1"], Observation()) == [Action([1], [0.25, -1.0])]
 
 
 def test_an_observation_is_a_picture_or_numbers_and_never_long() -> None:
@@ -104,7 +104,7 @@ def test_our_environments_bring_their_words() -> None:
         assert len(set(words.actions.values())) == len(words.actions) == count
         legal = parse_task_spec(spec).actions
         assert [action for action in words.actions.values() if legal.check(action) is not None] == []
-    assert made(MARIO_SPEC).names["stay"] == made(MARIO_SPEC).still
+    assert made(MARIO_SPEC).names["stay"] == made(MARIO_SPEC).still_at(Observation())
     mines = MinesEnvironment()
     for name, field in {"right": 1, "down": len(MINES_MAP[0]), "up": 0, "left": 0}.items():
         mines.env_start()
@@ -124,4 +124,4 @@ def test_mario_is_a_picture_in_characters_and_an_image_on_request() -> None:
 
 def test_a_choice_is_read_no_further_than_it_is_legal() -> None:
     with pytest.raises(IllegalChoice, match="1 to 20 actions"):
-        made(GRID).actions(["1 0*21", "what is never read"])
+        made(GRID).actions(["1 0*21", "what is never read"], Observation())
