@@ -166,7 +166,7 @@ class _Entrance:
         shutil.rmtree(directory / _UPLOADS, ignore_errors=True)  # of a server that was killed
 
     async def join(self, request: Request) -> _Answer:
-        self._joins.take(_address(request))
+        self._joins.take(address_of(request))
         body = await self._json(request)
         try:
             key = decode(str(body.get("key")))
@@ -187,7 +187,7 @@ class _Entrance:
         return pass_on
 
     async def tasks(self, request: Request) -> _Answer:
-        self._of_address.take(_address(request))
+        self._of_address.take(address_of(request))
         # Not the journal, which anybody could make the page read, however long it is.
         file = self._directory / COMPETITION_FILE
         return tasks_of(await run_in_threadpool(partial(load_competition, file, follow=False)))
@@ -236,7 +236,7 @@ class _Entrance:
         Raises:
             Denied: nobody has, or it asks too often.
         """
-        self._of_address.take(_address(request))
+        self._of_address.take(address_of(request))
         entrant = request.headers.get(ENTRANT, "")
         if not entrant or len(entrant) > _MOST_LETTERS or not entrant.isascii():
             raise Denied(f"the request needs the header {ENTRANT}: the name of the entrant", 403)
@@ -314,11 +314,22 @@ async def _loaded(path: str, most: int, repository: str) -> str:
     return str(found["id"])
 
 
-def _address(request: Request) -> str:
-    """Return the address that limits count by; one network of IPv6 is one."""
+def address_of(request: Request) -> str:
+    """Return the address that limits count by; one network of IPv6 is one.
+
+    A proxy on this machine says whom it asks for, after whatever that one has sent itself.
+    """
     host = request.client.host if request.client else ""
-    with suppress(ValueError):
-        address = ipaddress.ip_address(host)
-        if address.version == 6:
-            return str(ipaddress.ip_network((address, 64), strict=False))
-    return host
+    try:
+        address = _ip(host)
+        if address.is_loopback and (passed := request.headers.getlist("x-forwarded-for")):
+            address = _ip(passed[-1].rpartition(",")[2].strip())
+    except ValueError:
+        return host
+    return str(ipaddress.ip_network((address, 64), strict=False) if address.version == 6 else address)
+
+
+def _ip(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    """Return an address; that of IPv4 if a socket of IPv6 has it, or they would all be in one network."""
+    address = ipaddress.ip_address(text)
+    return (address.ipv4_mapped or address) if isinstance(address, ipaddress.IPv6Address) else address

@@ -14,8 +14,10 @@ import pytest
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 pytest.importorskip("uvicorn", reason="needs the extra web")
 
+from starlette.requests import Request
+
 from experiment_runner.competition.season.control import Attempt, Enrol, TryLater, Withdraw
-from experiment_runner.competition.season.entrance import Denied, Rate
+from experiment_runner.competition.season.entrance import Denied, Rate, address_of
 from experiment_runner.competition.season.trying import competition_of
 from glue.client.libzmq import new_pair
 from glue.client.season import Membership, Page, Season, SeasonBusy, SeasonRefused, join
@@ -291,3 +293,23 @@ def test_a_rate_forgets_those_who_have_rested() -> None:
         now += 0.001
         rate.take(f"stranger {number}")
     assert len(rate._used_until) <= 10_000
+
+
+@pytest.mark.parametrize(
+    ("peer", "passed", "counted"),
+    [
+        ("203.0.113.9", [], "203.0.113.9"),
+        ("2001:db8::1:2:3:4", [], "2001:db8::/64"),
+        ("::ffff:203.0.113.9", [], "203.0.113.9"),
+        ("203.0.113.9", ["198.51.100.1"], "203.0.113.9"),  # says who is no proxy
+        ("127.0.0.1", ["198.51.100.1"], "198.51.100.1"),
+        ("127.0.0.1", ["192.0.2.7, 198.51.100.1"], "198.51.100.1"),  # it has invented the first
+        ("127.0.0.1", ["192.0.2.7", "2001:db8::1"], "2001:db8::/64"),
+        ("127.0.0.1", ["x" * 1000], "127.0.0.1"),
+    ],
+)
+def test_limits_count_by_the_address_behind_a_proxy_of_this_machine(
+    peer: str, passed: list[str], counted: str
+) -> None:
+    headers = [(b"x-forwarded-for", one.encode()) for one in passed]
+    assert address_of(Request({"type": "http", "client": (peer, 1), "headers": headers})) == counted
