@@ -14,10 +14,13 @@ entrant. A refusal is JSON, `{"error": TEXT}`, with 429 or 503 and Retry-After i
 from __future__ import annotations
 
 import asyncio
+import errno
 import hashlib
+import io
 import ipaddress
 import json
 import math
+import os
 import shutil
 import sys
 import tempfile
@@ -50,7 +53,10 @@ _MOST_JSON: Final = 2**14
 _MOST_UPLOADS: Final = 4
 """Images that are received at once."""
 
+_JSON_SECONDS: Final = 10.0
 _UPLOAD_SECONDS: Final = 900.0
+"""Time for the body of a request to come."""
+
 _LOAD_SECONDS: Final = 900.0
 """Time to check an image, and for the engine to take it."""
 
@@ -199,7 +205,7 @@ class _Entrance:
             most = f"{season.most_bytes / 2**20:g} MiB"
             raise Denied(f"the image has {int(size) / 2**20:.1f} MiB, and {most} are allowed", 413)
         with self._upload(entrant, int(size)) as file:
-            await _received(request, file, int(size))
+            await _received(request, file, int(size), _UPLOAD_SECONDS)
             found = await _loaded(file.name, season.most_bytes, f"glue-season/{name_of_run(self._directory)}")
         return await self._ask({"do": "submit", "entrant": entrant, "image": found, "name": found})
 
@@ -210,14 +216,17 @@ class _Entrance:
             raise Denied("another image of this entrant is being received", 429, _RESTART_SECONDS)
         if len(self._uploading) >= _MOST_UPLOADS:
             raise Denied(f"{_MOST_UPLOADS} images are being received: try again", 503, _RESTART_SECONDS)
-        folder = self._directory / _UPLOADS
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if shutil.disk_usage(folder).free < _ROOM * size:
-            raise Denied("the season's machine has no room for the image now: tell its organiser", 503, 600)
         self._uploading.add(entrant)
+        folder = self._directory / _UPLOADS
         try:
+            folder.mkdir(mode=0o700, exist_ok=True)
+            if shutil.disk_usage(folder).free < _ROOM * size:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             with tempfile.NamedTemporaryFile(dir=folder, suffix=".tar") as file:
                 yield cast("BinaryIO", file)
+        except OSError as error:
+            why = f"the season's machine cannot keep the image: {error.strerror}; tell its organiser"
+            raise Denied(why, 503, 600) from None
         finally:
             self._uploading.discard(entrant)
 
@@ -245,14 +254,10 @@ class _Entrance:
 
     async def _json(self, request: Request) -> Mapping[str, Any]:
         """Return the body of a request, if it is what was signed."""
-        content = bytearray()
-        async for piece in request.stream():
-            content += piece
-            if len(content) > _MOST_JSON:
-                raise Denied(f"the body has more than {_MOST_JSON:,} bytes", 413)
-        _check_digest(request, hashlib.sha256(content).hexdigest())
+        content = io.BytesIO()
+        await _received(request, content, _MOST_JSON, _JSON_SECONDS)
         with suppress(ValueError, RecursionError):
-            body = json.loads(content)
+            body = json.loads(content.getvalue())
             if isinstance(body, dict):
                 return body
         raise Denied("the body is not a JSON object")
@@ -270,24 +275,22 @@ class _Entrance:
         raise Denied(str(reply["error"]), 429 if seconds else 403, seconds)
 
 
-async def _received(request: Request, file: BinaryIO, size: int) -> None:
-    """Write the body of a request to a file."""
+async def _received(request: Request, file: BinaryIO, most: int, seconds: float) -> None:
+    """Write the body of a request to a file, if it is what was signed."""
     digest, count = hashlib.sha256(), 0
     try:
-        async with asyncio.timeout(_UPLOAD_SECONDS):
+        async with asyncio.timeout(seconds):
             async for piece in request.stream():
                 count += len(piece)
-                if count > size:
-                    raise Denied("the body is longer than its Content-Length", 413)
+                if count > most:
+                    raise Denied(f"the body has more than {most:,} bytes", 413)
                 digest.update(piece)
                 await run_in_threadpool(file.write, piece)
         await run_in_threadpool(file.flush)
     except TimeoutError:
-        raise Denied(f"the image has not come within {_UPLOAD_SECONDS / 60:g} minutes", 408) from None
-    except OSError as error:
-        reason = error.strerror or "an error of its disk"
-        raise Denied(f"the season's machine cannot keep the image: {reason}", 503, 600) from None
-    _check_digest(request, digest.hexdigest())
+        raise Denied(f"the body has not come within {seconds:g} s", 408) from None
+    if request.headers.get(DIGEST) != digest.hexdigest():
+        raise Denied("the body is not the one that was signed: send it again")
 
 
 async def _loaded(path: str, most: int, repository: str) -> str:
@@ -309,11 +312,6 @@ async def _loaded(path: str, most: int, repository: str) -> str:
     if "error" in found:
         raise Denied(found["error"], 422)
     return str(found["id"])
-
-
-def _check_digest(request: Request, digest: str) -> None:
-    if request.headers.get(DIGEST) != digest:
-        raise Denied("the body is not the one that was signed: send it again")
 
 
 def address_of(request: Request) -> str:

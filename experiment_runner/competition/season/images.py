@@ -13,6 +13,7 @@ engine might read differently is refused, so that both count the same.
 
 from __future__ import annotations
 
+import errno
 import gzip
 import io
 import json
@@ -58,6 +59,8 @@ _WRONG: Final = (
     *(ValueError, OverflowError, MemoryError, RecursionError),
 )
 """Errors of a file that is not what it should be."""
+
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT)
 
 _ARCHITECTURES: Final = {"x86_64": "amd64", "aarch64": "arm64"}
 """Docker's names of the processors that Python names otherwise."""
@@ -238,6 +241,8 @@ def _named(what: str) -> Iterator[None]:
     try:
         yield
     except _WRONG as error:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            raise
         why = one_line(str(error), _MOST_SHOWN) or type(error).__name__
         raise UnfitImage(f"{what} is not as docker save writes it: {why}") from None
 
@@ -255,6 +260,8 @@ def main() -> None:
             found = {"id": Containers().load(copy, repository)}
     except GlueError as error:
         found = {"error": str(error)}
+    except OSError as error:  # not of the image
+        sys.exit(f"cannot check an image: {error}")
     print(json.dumps(found))
 
 

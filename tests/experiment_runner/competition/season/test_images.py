@@ -213,3 +213,8 @@ def test_what_is_no_tar_is_refused(data: bytes) -> None:
 def test_a_tar_is_not_read_for_ever(data: bytes, why: str) -> None:
     with pytest.raises(UnfitImage, match=why):
         copy_image(io.BytesIO(data), io.BytesIO(), MOST)
+
+
+def test_a_full_disk_is_no_fault_of_the_image() -> None:
+    with open("/dev/full", "wb", buffering=0) as full, pytest.raises(OSError, match="No space left"):
+        copy_image(io.BytesIO(tar(image())), full, MOST)
