@@ -8,25 +8,18 @@ import sys
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY
+from experiment_runner.cli.options import DIRECTORY, FILE
 from experiment_runner.competition.season.starter import LANGUAGES, write_starter
 from glue.console import say
 from glue.errors import ConfigError
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from glue.client.target import Target
-
-_LOOK_SECONDS: Final = 5.0
-
 _SEASON: Final = click.option(
     "--season",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     default=Path("season.toml"),
     show_default=True,
     metavar="FILE",
@@ -49,24 +42,26 @@ _SEASON: Final = click.option(
 )
 def join(address: str, name: str, code: str, team: str, directory: Path) -> None:
     """Enrol in the season whose page is at ADDRESS: make your keys, and write season.toml."""
+    from experiment_runner.competition.settings import NAMES, is_name
     from glue.client.libzmq import new_pair
-    from glue.client.season import SEASON_FILE, Membership, Page
+    from glue.client.season import SEASON_FILE, Page
     from glue.client.season import join as enrol
-    from glue.keys.certificates import SECRET, read_pair, write_pair
+    from glue.keys.certificates import SECRET, write_pair
 
     file = directory / SEASON_FILE
     if file.exists():
         raise ConfigError(f"{file} exists: you have joined a season here; choose another --dir")
+    if not is_name(name):
+        raise ConfigError(f"{name!r:.80} cannot be a name: {NAMES}")
     page = Page(address)
     secret = directory / f"{name}{SECRET}"
     if not secret.exists():  # the answer of an earlier try may have been lost
         write_pair(directory, name, new_pair())
-    reply = enrol(page, name, read_pair(secret), code, team)
-    Membership(page.url, name, secret, str(reply["hub_key"]), str(reply.get("token"))).write(file)
-    alias = reply.get("alias")
+    membership, alias = enrol(page, name, secret, code, team)
+    membership.write(file)
     say(f"{file}: what glue-agent --season needs. Give it, and {secret}, to nobody")
-    say(f"your row on the page: {page.url}/?token={reply.get('token')}")
-    if alias and alias != name:
+    say(f"your row on the page: {page.url}/?token={membership.token}")
+    if alias != name:
         say(f"others see you there as {alias}")
     say(f"now: glue-agent sample --season {file}, or your own agent in place of sample")
 
@@ -79,8 +74,7 @@ def submit(image: str, season: Path) -> None:
 
     The season plays it: Ctrl-C ends only the waiting.
     """
-    from glue.client.season import Season, read_membership, result
-    from glue.system import clock
+    from glue.client.season import Season, read_membership
 
     found = Season(read_membership(season))
     with ExitStack() as stack:
@@ -93,13 +87,8 @@ def submit(image: str, season: Path) -> None:
         except OSError as error:
             raise ConfigError(f"cannot read {path}: {error.strerror}") from None
         say(f"sending {path.stat().st_size / 2**20:.1f} MiB")
-        found.ask("image", file, "PUT")
-
-    def wait(target: Target, on: Callable[[], bool]) -> None:
-        while on():
-            clock.sleep(_LOOK_SECONDS)
-
-    click.echo(result(found.play(wait, say)))
+        found.submit(file)
+    click.echo(found.play(None, say))
 
 
 def _saved(image: str, path: Path) -> Path:

@@ -51,7 +51,9 @@ class ControlGroup:
 
 def _file(root: Path, container: str, name: str) -> Path | None:
     """Return a file of a container's control group; None if there is no such group below `root`."""
-    return next((folder / name for folder in _folders(root, _DEEPEST) if container in folder.name), None)
+    wanted = re.compile(rf"(\w+-)?{container}(\.scope)?")  # not podman's own, libpod-conmon-ID.scope
+    found = (folder / name for folder in _folders(root, _DEEPEST) if wanted.fullmatch(folder.name))
+    return next(found, None)
 
 
 def _folders(folder: Path, depth: int) -> Iterator[Path]:

@@ -81,7 +81,10 @@ def play_programs(file: Path, command: Sequence[str]) -> None:
     from glue.system import clock
 
     if command and shutil.which(command[0]) is None:
-        raise ConfigError(f"there is no program {command[0]!r} here: name it with its path, as in ./agent")
+        raise ConfigError(
+            f"there is no program {command[0]!r} here: name it with its path, as in ./agent; or an agent in "
+            "Python before --season, as in glue-agent my.py:Agent --season season.toml"
+        )
 
     def serve(target: Target, on: Callable[[], bool]) -> None:
         with _relayed(target) as hub:
@@ -98,9 +101,9 @@ def play_programs(file: Path, command: Sequence[str]) -> None:
 
 
 def _play(file: Path, serve: Serve) -> None:
-    from glue.client.season import Season, read_membership, result
+    from glue.client.season import Season, read_membership
 
-    click.echo(result(Season(read_membership(file)).play(serve, say)))
+    click.echo(Season(read_membership(file)).play(serve, say))
 
 
 @contextmanager
@@ -123,12 +126,11 @@ def _run(command: Sequence[str], place: dict[str, str], on: Callable[[], bool]) 
     try:
         while on():
             with suppress(subprocess.TimeoutExpired):
-                program.wait(_LOOK_SECONDS)
+                if program.wait(_LOOK_SECONDS):
+                    say(f"{command[0]} ended with status {program.returncode}")
                 break
     finally:
         for insist in (program.terminate, program.kill):
             insist()  # nothing happens if it has ended
             with suppress(subprocess.TimeoutExpired):
                 program.wait(_END_SECONDS)
-    if program.returncode:
-        say(f"{command[0]} ended with status {program.returncode}")

@@ -246,8 +246,13 @@ class Relay:
         except zmq.ZMQError as error:
             self._context.destroy(0)
             raise ConfigError(f"cannot listen at {url}: {error.strerror}") from None
-        max_frame = 2 * MAX_BODY + MAX_HEADER
-        self._hub = DealerTransport(self._context, target.hub, _RELAY_TIMEOUT, max_frame, target.key)
+        try:
+            self._hub = DealerTransport(
+                self._context, target.hub, _RELAY_TIMEOUT, 2 * MAX_BODY + MAX_HEADER, target.key
+            )
+        except ConfigError:
+            self._context.destroy(0)
+            raise
         self._thread = threads.Thread(target=self._run, name="relay", daemon=True)
 
     def __enter__(self) -> Self:

@@ -8,19 +8,18 @@ session is.
 from __future__ import annotations
 
 import hashlib
-import http.client
 import io
 import json
 import os
 import re
 import tomllib
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Literal
 from urllib.parse import urlsplit
+
+import msgspec
 
 from glue.client.target import OwnKey, Target
 from glue.console import one_line
@@ -30,17 +29,19 @@ from glue.keys.certificates import KeyPair, decode, encode, read_pair, read_publ
 from glue.keys.files import read_own
 from glue.keys.requests import signed
 from glue.system import clock
+from glue.system.web import Answer, NoAnswer, ask, is_address
 
 PREFIX: Final = "/season/api/"
 """Path of the page below which programs ask."""
 
 SEASON_FILE: Final = "season.toml"
 
-_KINDS: Final = {"http": http.client.HTTPConnection, "https": http.client.HTTPSConnection}
 _SECONDS: Final = 60.0
-"""Time for the page to answer, or to take the next part of a body."""
+"""Time for the page to answer."""
 
-_MOST_BYTES: Final = 2**20
+_UPLOAD_SECONDS: Final = 3600.0
+"""Time to send an image, and for the season to check it and load it."""
+
 _MOST_SHOWN: Final = 300
 _MOST_FAILURES: Final = 3
 """Attempts in a row that may fail for a reason of the season's."""
@@ -56,10 +57,14 @@ _PATIENCE_SECONDS: Final = 600.0
 _EVERYWHERE: Final = re.compile(r"(?<=//)(0\.0\.0\.0|\[::\]|\*)(?=:)")
 """The host of a hub that listens on every address of its machine."""
 
-_FIELDS: Final = ("page", "name", "key", "hub_key", "token")
+_TOKEN: Final = re.compile(r"[\w.~+/=-]{1,200}", re.ASCII)
 
 Reply = Mapping[str, Any]
 File = io.BytesIO | io.BufferedReader
+
+Serve = Callable[[Target, Callable[[], bool]], None]
+"""Plays a trial: joins a hub, and returns when it says goodbye, or cannot be reached for some seconds. The
+other argument returns whether the trial is still being played; it asks the page, which takes a moment."""
 
 
 class SeasonRefused(GlueError):
@@ -79,8 +84,7 @@ class SeasonBusy(GlueError):
         self.seconds = seconds
 
 
-@dataclass(frozen=True, slots=True)
-class Membership:
+class Membership(msgspec.Struct, frozen=True):
     """What an entrant knows of a season: the contents of its `season.toml`.
 
     Args:
@@ -103,8 +107,8 @@ class Membership:
         Raises:
             ConfigError: it exists, or cannot be written.
         """
-        values = {**{name: getattr(self, name) for name in _FIELDS}, "key": self.key.name}
-        # A JSON string is one of TOML.
+        values = {name: getattr(self, name) for name in self.__struct_fields__} | {"key": self.key.name}
+        # A JSON string in ASCII is one of TOML.
         text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items())
         try:
             descriptor = descriptor_of(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -123,15 +127,11 @@ def read_membership(path: Path) -> Membership:
     hint = "glue-compete join writes such a file"
     try:
         found = tomllib.loads(read_own(path, _MOST_BYTES_OF_FILE).decode())
+        return msgspec.convert(found, Membership, dec_hook=lambda _, name: path.parent / str(name))
     except FileNotFoundError:
         raise ConfigError(f"there is no {path}: {hint}", settings=("season",)) from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path} is not TOML: {one_line(str(error), _MOST_SHOWN)}; {hint}") from None
-    wrong = [name for name in _FIELDS if not isinstance(found.get(name), str)]
-    if wrong:
-        raise ConfigError(f"{path} lacks {', '.join(wrong)}, a string each; {hint}")
-    values = {name: found[name] for name in _FIELDS}
-    return Membership(**{**values, "key": path.parent / values["key"]})
+    except (msgspec.ValidationError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: {one_line(str(error), _MOST_SHOWN)}; {hint}") from None
 
 
 class Page:
@@ -147,16 +147,15 @@ class Page:
     def __init__(self, url: str) -> None:
         try:
             parts = urlsplit(url if "//" in url else f"http://{url}")
-            usable = parts.scheme in _KINDS and url.isascii() and url.isprintable() and not parts.username
-            self._host, self._port = parts.hostname or "", parts.port
+            # Without what follows the path, such as the token in the address of a row.
+            self.url: str = f"{parts.scheme}://{parts.netloc}{parts.path}".rstrip("/")
+            usable = is_address(self.url)
         except ValueError:
             usable = False
-        if not (usable and self._host):
+        if not usable:
             raise ConfigError(f"{url!r:.120} is not the address of a page, such as https://season.example")
-        self._kind = _KINDS[parts.scheme]
-        self.host: str = f"[{self._host}]" if ":" in self._host else self._host
-        self.url: str = f"{parts.scheme}://{parts.netloc}{parts.path}".rstrip("/")
-        self._path = parts.path.rstrip("/")
+        host = parts.hostname or ""
+        self.host: str = f"[{host}]" if ":" in host else host
 
     def ask(
         self,
@@ -165,6 +164,7 @@ class Page:
         body: Reply | File | None = None,
         pair: KeyPair | None = None,
         entrant: str = "",
+        seconds: float = _SECONDS,
     ) -> Reply:
         """Return the answer to a request.
 
@@ -174,62 +174,107 @@ class Page:
             body: sent as JSON; or a whole file.
             pair: keys to sign with; None not to sign.
             entrant: name of the sender.
+            seconds: for the whole exchange.
 
         Raises:
             SeasonRefused: it is refused.
             SeasonBusy: the page cannot be reached, or asks to wait.
         """
-        content: File
-        if body is None or isinstance(body, Mapping):
-            content = io.BytesIO(json.dumps(body or {}).encode())
-        else:
-            content = body
+        content = io.BytesIO(json.dumps(body or {}).encode()) if not isinstance(body, File) else body
         digest = hashlib.file_digest(content, "sha256").hexdigest()
-        headers = {"Content-Length": str(content.seek(0, io.SEEK_END)), "Connection": "close"}
+        headers = {"Content-Length": str(content.seek(0, io.SEEK_END))}
         content.seek(0)
         if pair is not None:
             # A proxy may have taken off the beginning of the path.
             headers |= signed(pair, entrant, method, f"{PREFIX}{what}", digest, clock.unix())
-        connection = self._kind(self._host, self._port, timeout=_SECONDS)
         try:
-            with suppress(BrokenPipeError, ConnectionResetError):  # it refuses the body, and says why
-                connection.request(method, f"{self._path}{PREFIX}{what}", content, headers)
-            response = connection.getresponse()
-            data = response.read(_MOST_BYTES + 1)
-        except (OSError, http.client.HTTPException) as error:
-            raise SeasonBusy(f"the page {self.url} cannot be asked: {_reason(error)}") from None
-        finally:
-            connection.close()
-        return self._understood(response.status, response.headers.get("Retry-After"), data)
+            answer = ask(method, f"{self.url}{PREFIX}{what}", seconds, content, headers)
+        except NoAnswer as error:
+            raise SeasonBusy(f"the page {self.url} {error}") from None
+        return self._understood(answer)
 
-    def _understood(self, status: int, retry_after: str | None, data: bytes) -> Reply:
-        try:
-            reply = json.loads(data) if len(data) <= _MOST_BYTES else None
-        except (ValueError, RecursionError):
-            reply = None
+    def _understood(self, answer: Answer) -> Reply:
+        reply, status = answer.json, answer.status
         if status == 200 and isinstance(reply, dict):
             return reply
         found = reply.get("error") if isinstance(reply, dict) else None
-        why = one_line(found if isinstance(found, str) else data.decode("utf-8", "replace"), _MOST_SHOWN)
+        text = found if isinstance(found, str) else answer.data.decode("utf-8", "replace")
+        why = one_line(text, _MOST_SHOWN)
         if status in (429, 502, 503, 504):
-            seconds = float(retry_after) if retry_after is not None and retry_after.isdecimal() else 5.0
-            raise SeasonBusy(why or f"the page {self.url} answered {status}", seconds)
-        if found is None:
+            after = answer.headers.get("Retry-After", "")
+            raise SeasonBusy(
+                why or f"the page {self.url} answered {status}", float(after) if after.isdecimal() else 5.0
+            )
+        if 300 <= status < 400:  # such as a proxy that wants https
+            place = one_line(answer.headers.get("Location", "another place"), _MOST_SHOWN)
+            why = f"the page {self.url} leads to {place}: give the address to which browsers come"
+        elif found is None:
             why = f"the page {self.url} answered {status}, not as a season does: {why or 'nothing'}"
         raise SeasonRefused(why)
 
 
-class Serve(Protocol):
-    """Plays a trial of an attempt."""
+class Progress(msgspec.Struct, frozen=True):
+    """What the page says of an attempt.
 
-    def __call__(self, target: Target, on: Callable[[], bool]) -> None:
-        """Join a hub, and return when it says goodbye, or cannot be reached for some seconds.
+    Args:
+        state: waiting, playing, verifying or over.
+        attempt: its number.
+        why: why nothing is played now; why it did not count or was forfeited.
+        place: in the queue; on the board when it is over.
+        trial: that is played, from 1.
+        trials: in all.
+        hub: URL of the hub where the trial is played; None if the season plays it, with an image.
+        session: name of the session there.
+        outcome: of an attempt that is over: verified, forfeited, ours or withdrawn.
+        score: None if it is not told.
+        low, high: the interval on the board, of the attempts that count.
+        of: number of those that have a place.
+        left: attempts left.
+        returns: when new ones come.
+    """
 
-        Args:
-            target: the hub, with session and keys.
-            on: returns whether the trial is still being played; it asks the page, which takes a moment.
-        """
-        ...
+    state: Literal["waiting", "playing", "verifying", "over"]
+    attempt: int
+    why: str = ""
+    place: int | None = None
+    trial: int = 0
+    trials: int = 0
+    hub: str | None = None
+    session: str = ""
+    outcome: str = "verified"
+    score: float | None = None
+    low: float | None = None
+    high: float | None = None
+    of: int = 0
+    left: int | None = None
+    returns: str | None = None
+
+    def __str__(self) -> str:
+        """Return it as a line for people."""
+        match self.state:
+            case "waiting" if self.why:
+                text = f"waits, and nothing is played now: {self.why}"
+            case "waiting":
+                text = f"waits, place {self.place} in the queue"
+            case "playing":
+                text = f"is played, trial {self.trial} of {self.trials}"
+            case "verifying":
+                text = "has been played, and is being verified"
+            case _:
+                text = "; ".join(["is over", *self._result()])
+        return one_line(f"attempt {self.attempt} {text}")
+
+    def _result(self) -> Iterator[str]:
+        if self.outcome != "verified":
+            yield self.outcome + (f" ({self.why})" if self.why else "")
+        if self.score is not None:
+            yield f"score {self.score:.10g}"
+        if self.place is not None:
+            known = self.low is not None and self.high is not None
+            interval = f" (95 % interval of what counts: {self.low:.6g} to {self.high:.6g})" if known else ""
+            yield f"place {self.place} of {self.of}{interval}"
+        if self.left is not None:
+            yield f"attempts left: {self.left}" + (f", new ones at {self.returns}" if self.returns else "")
 
 
 class Season:
@@ -250,15 +295,26 @@ class Season:
         pair = read_pair(membership.key)
         self._key = OwnKey(membership.key, pair, read_public(membership.hub_key))
 
-    def ask(self, what: str, body: Reply | File | None = None, method: str = "POST") -> Reply:
+    def ask(self, what: str, body: Reply | None = None) -> Reply:
         """Return the answer to a signed request; arguments and errors are those of `Page.ask`."""
-        return self._page.ask(method, what, body, self._key.pair, self.membership.name)
+        return self._page.ask("POST", what, body, self._key.pair, self.membership.name)
 
-    def play(self, serve: Serve, say: Callable[[str], None]) -> Reply:
+    def submit(self, file: File) -> None:
+        """Hand in an image, which plays the attempts from now on.
+
+        Args:
+            file: a tar of `docker save`.
+
+        Raises:
+            SeasonRefused, SeasonBusy: as `Page.ask`.
+        """
+        self._page.ask("PUT", "image", file, self._key.pair, self.membership.name, _UPLOAD_SECONDS)
+
+    def play(self, serve: Serve | None, say: Callable[[str], None]) -> Progress:
         """Play an attempt: wait for its turn, play every trial, and return what the page says of it.
 
         Args:
-            serve: plays a trial.
+            serve: plays a trial; None if only an image can.
             say: shows a line.
 
         Raises:
@@ -267,44 +323,35 @@ class Season:
         """
         for _ in range(_MOST_FAILURES):
             reply = self._follow(self._attempt(0, say), serve, say)
-            if reply.get("outcome") != "ours":
+            if reply.outcome != "ours":
                 break
-            say(f"{result(reply)}; it does not count")
+            say(f"{reply}; it does not count")
         return reply
 
-    def _follow(self, reply: Reply, serve: Serve, say: Callable[[str], None]) -> Reply:
+    def _follow(self, reply: Progress, serve: Serve | None, say: Callable[[str], None]) -> Progress:
         """Play the attempt that a reply is about; return the reply when it is over."""
-        number, told = int(reply["attempt"]), ""
-        while reply["state"] != "over":
-            if reply["state"] == "playing":
-                line = f"attempt {number}, trial {reply.get('trial')} of {reply.get('trials')}"
-            elif reply["state"] == "waiting" and reply.get("why"):
-                line = f"attempt {number} waits, and nothing is played now: {reply['why']}"
-            elif reply["state"] == "waiting":
-                line = f"attempt {number} waits, place {reply.get('place')} in the queue"
-            else:
-                line = f"attempt {number} has been played, and is being verified"
-            if line != told:
-                say(line)
-                told = line
-            if reply["state"] == "playing":
-                trial = reply.get("trial")
-                serve(self._target(reply), partial(self._is_on, number, trial, say))
-            place = reply.get("place")
-            self._sleep(min(place, _LONGEST_POLL) if isinstance(place, int) and place > 1 else _POLL_SECONDS)
+        number, told = reply.attempt, ""
+        while reply.state != "over":
+            if str(reply) != told:
+                told = str(reply)
+                say(told)
+            if reply.hub is not None and serve is not None:
+                serve(self._target(reply), partial(self._is_on, reply, say))
+            self._sleep(min(max(_POLL_SECONDS, reply.place or 0), _LONGEST_POLL))
             reply = self._attempt(number, say)
         return reply
 
-    def _is_on(self, number: int, trial: object, say: Callable[[str], None]) -> bool:
-        reply = self._attempt(number, say)
-        return reply["state"] == "playing" and reply.get("trial") == trial
+    def _is_on(self, played: Progress, say: Callable[[str], None]) -> bool:
+        reply = self._attempt(played.attempt, say)
+        return (reply.state, reply.attempt, reply.trial) == ("playing", played.attempt, played.trial)
 
-    def _attempt(self, number: int, say: Callable[[str], None]) -> Reply:
+    def _attempt(self, number: int, say: Callable[[str], None]) -> Progress:
         """Ask how an attempt goes, or for a new one if `number` is 0, until the page answers."""
         waited = 0.0
         while True:
             try:
                 reply = self.ask("attempt", {"attempt": number})
+                return msgspec.convert(reply, Progress)
             except SeasonBusy as error:
                 seconds = max(error.seconds, _POLL_SECONDS)
                 if waited + seconds > _PATIENCE_SECONDS:  # as when no attempt is left today
@@ -313,50 +360,36 @@ class Season:
                     say(f"{error}; asking again")
                 self._sleep(seconds)
                 waited += seconds
-                continue
-            if isinstance(reply.get("attempt"), int) and isinstance(reply.get("state"), str):
-                return reply
-            raise SeasonRefused(
-                f"the page {self._page.url} answers with no attempt: {one_line(str(reply), 200)}"
-            )
+            except msgspec.ValidationError as error:
+                why = one_line(f"{error}: {reply}", _MOST_SHOWN)
+                raise SeasonRefused(f"the page {self._page.url} answers with no attempt: {why}") from None
 
-    def _target(self, reply: Reply) -> Target:
-        hub = _EVERYWHERE.sub(self._page.host, str(reply.get("hub")))
-        return Target(hub, str(reply.get("session")), self._key)
+    def _target(self, reply: Progress) -> Target:
+        return Target(_EVERYWHERE.sub(self._page.host, str(reply.hub)), reply.session, self._key)
 
 
-def join(page: Page, name: str, pair: KeyPair, code: str, team: str) -> Reply:
-    """Enrol as an entrant; return the hub's public key, the entrant's token, and its alias.
+def join(page: Page, name: str, secret: Path, code: str = "", team: str = "") -> tuple[Membership, str]:
+    """Enrol as an entrant; return its membership, and its pseudonym.
+
+    Args:
+        page: of the season.
+        name: of the entrant.
+        secret: file of its secret key.
+        code: with which one enrols; empty if none is needed.
+        team: of the entrant; empty for none.
 
     Raises:
+        ConfigError: the key cannot be read.
         SeasonRefused, SeasonBusy: as `Page.ask`.
     """
+    pair = read_pair(secret)
     body = {"name": name, "key": encode(pair.public), "code": code, "team": team}
     reply = page.ask("POST", "join", body, pair, name)
+    hub_key, token, alias = (reply.get(field) for field in ("hub_key", "token", "alias"))
     try:
-        decode(str(reply.get("hub_key")))
+        decode(hub_key := str(hub_key))
     except ValueError:
         raise SeasonRefused(f"the page {page.url} answers without the key of its hubs") from None
-    return reply
-
-
-def result(reply: Reply) -> str:
-    """Return what the page says of an attempt that is over, as a line for people."""
-    parts = [f"attempt {reply.get('attempt')} is over"]
-    if reply.get("outcome") not in (None, "verified"):
-        parts.append(f"{reply['outcome']}" + (f" ({reply['why']})" if reply.get("why") else ""))
-    if isinstance(reply.get("score"), int | float):
-        score = f"score {reply['score']:.10g}"
-        if isinstance(reply.get("low"), int | float) and isinstance(reply.get("high"), int | float):
-            score += f" (95 % interval {reply['low']:.6g} to {reply['high']:.6g})"
-        parts.append(score)
-    if reply.get("place") is not None:
-        parts.append(f"place {reply['place']} of {reply.get('of')}")
-    if reply.get("left") is not None:
-        left = f"attempts left: {reply['left']}"
-        parts.append(f"{left}, new ones at {reply['returns']}" if reply.get("returns") else left)
-    return one_line("; ".join(parts))
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or one_line(repr(error), 200)
+    if not _TOKEN.fullmatch(token := str(token)):
+        raise SeasonRefused(f"the page {page.url} answers with a token that no address can hold")
+    return Membership(page.url, name, secret, hub_key, token), one_line(str(alias))

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import json
 import sys
-from concurrent.futures import Future
 from typing import TYPE_CHECKING, Annotated, Any, Final
 from urllib.parse import urlsplit
-from urllib.request import urlopen
 
 from glue.errors import ConfigError, SimulatorError, described
 from glue.gym.codec import Codec
@@ -20,13 +18,12 @@ from glue.gym.spaces import task_spec
 from glue.openenv.fields import read_schema
 from glue.options import Option
 from glue.roles import Environment
-from glue.system.threads import Thread
+from glue.system.web import MOST_BYTES, NoAnswer, ask, is_address
 from glue.types import Action, Observation, Step
 
 if TYPE_CHECKING:
     from openenv.core.sync_client import SyncEnvClient
 
-_MAX_SCHEMA: Final = 2**20
 _MAX_MESSAGE_MB: Final = 16.0
 _SEEDS: Final = 2**31
 """Servers may seed NumPy's old generator, or C's."""
@@ -169,18 +166,13 @@ def environment_class(url: str) -> type[OpenEnvEnvironment]:
     Raises:
         ConfigError: `url` is not an address of a server, or OpenEnv is not installed.
     """
-    try:
-        parts = urlsplit(url)
-        usable = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
-    except ValueError:
-        usable = False
-    if not (usable and url.isascii() and url.isprintable() and " " not in url):
+    if not is_address(url):
         raise ConfigError(
             f"an OpenEnv server is named by its URL, openenv:http://127.0.0.1:8000, not {url!r:.80}"
         )
     server = url.rstrip("/")
     about = f"The OpenEnv server at {server}, served to RL-Glue agents (docs/openenv.md)."
-    return type(f"openenv-{parts.netloc}", (OpenEnvEnvironment,), {"url": server, "__doc__": about})
+    return type(f"openenv-{urlsplit(url).netloc}", (OpenEnvEnvironment,), {"url": server, "__doc__": about})
 
 
 def _parameters(text: str) -> dict[str, Any]:
@@ -201,26 +193,12 @@ def _schemas(url: str, timeout: float) -> dict[str, Any]:
     Raises:
         ConfigError: it does not answer, or not with schemas.
     """
-    answered: Future[bytes] = Future()
-
-    def ask() -> None:
-        try:
-            with urlopen(f"{url}/schema", timeout=timeout) as answer:
-                answered.set_result(answer.read(_MAX_SCHEMA + 1))
-        except Exception as error:
-            answered.set_exception(error)
-
-    Thread(target=ask, daemon=True).start()  # A timeout of urlopen is for each byte.
     try:
-        text = answered.result(timeout)
-    except Exception as error:  # also of parsing HTTP: whatever listens there
-        raise ConfigError(f"no OpenEnv server answers at {url}: {described(error)}") from None
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        found = None
-    if len(text) > _MAX_SCHEMA or not isinstance(found, dict):
+        found = ask("GET", f"{url}/schema", timeout).json
+    except NoAnswer as error:
+        raise ConfigError(f"no OpenEnv server answers at {url}: it {error}") from None
+    if not isinstance(found, dict):
         raise ConfigError(
-            f"{url}/schema is not the JSON of at most {_MAX_SCHEMA} bytes that OpenEnv describes"
+            f"{url}/schema is not the JSON of at most {MOST_BYTES} bytes that OpenEnv describes"
         )
     return found

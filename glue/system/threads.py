@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from threading import Condition, Event, RLock, Thread
+from threading import Condition, Event, RLock, Thread, Timer
 
-__all__ = ["Condition", "Event", "RLock", "Thread"]
+__all__ = ["Condition", "Event", "RLock", "Thread", "Timer"]

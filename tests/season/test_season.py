@@ -33,10 +33,10 @@ from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.store.results import Results
 from glue.client.libzmq import new_pair
 from glue.client.players import serve_agent
-from glue.client.season import Membership, Page, Season, SeasonBusy, SeasonRefused, join
+from glue.client.season import Page, Season, SeasonBusy, SeasonRefused, join
 from glue.client.target import Target
 from glue.errors import GlueError, HubUnreachable
-from glue.keys.certificates import encode, read_pair, write_pair
+from glue.keys.certificates import encode, write_pair
 from tests import forked
 from tests.experiment_runner.competition.players import Walker
 from tests.system.runs import wait_until
@@ -163,15 +163,14 @@ class Held:
         """Enrol an entrant; return its season.toml."""
         folder = self.folder / name
         _, secret = write_pair(folder, name, new_pair())
-        page, pair = Page(self.url), read_pair(secret)
         while True:
             try:
-                reply = join(page, name, pair, "lemonade", "")
+                membership, _ = join(Page(self.url), name, secret, "lemonade")
                 break
             except SeasonBusy:  # the server was killed
                 time.sleep(1)
         file = folder / "season.toml"
-        Membership(self.url, name, secret, str(reply["hub_key"]), str(reply["token"])).write(file)
+        membership.write(file)
         return file
 
     def state(self) -> SeasonState:
@@ -212,7 +211,7 @@ def play(held: Held, name: str, make: Callable[[], Walker], attempts: int) -> in
 
     for _ in range(3 * attempts):
         try:
-            verified += season.play(serve, lambda line: None)["outcome"] == "verified"
+            verified += season.play(serve, lambda line: None).outcome == "verified"
         except SeasonBusy as busy:  # its attempts of the day are used up, or the server was killed
             time.sleep(min(busy.seconds, 5))
         except SeasonRefused:  # it was excluded or paused

@@ -9,6 +9,7 @@ everything that follows from it, as if it had been so from the start.
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
 from itertools import accumulate
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -45,6 +46,14 @@ _OF_ALL: Final = (
 _OF_ITS_OWNER: Final = (journal.PAUSE, journal.RESUME, journal.GRANT)
 """Acts that are shown to everybody, and those about an entrant that are shown to its owner."""
 
+_AGENT: Final = ("agent ", "the agent ")
+_DID: Final = re.compile(
+    r"raised in agent_(init|start|step|end|message|cleanup)\b|was unreachable for \d+\.\d s|left\b|"
+    r"ran out of time|used more than [\d.e+]+ s in all|took more than [\d.e+]+ s to initialise|"
+    r"sent a malformed message"
+)
+"""What a hub says of an agent that has failed, after its name and before its own words."""
+
 _TIMES: Final = 200
 _FLIPS: Final = 999
 _LEVEL: Final = 0.05
@@ -64,7 +73,9 @@ class AttemptRow:
         score: see above, over the tasks that this viewer may know; NaN unless verified or forfeited.
         tasks: the score of each of these tasks.
         counts: whether it is among those that make its entrant's score.
-        forfeits: of its trials; numbers are those of the levels, from 0.
+        forfeits: of its trials; numbers are those of the levels, from 0. Others than the owner and the
+            organiser are told the rule that ended a trial, and not the words of the entrant's program: it
+            may say in them who it is, or anything else.
         place: in the queue, from 1; 0 if it does not wait.
         instead: number of the attempt that it replaces; 0 if none.
         withdrawn: whether its owner has withdrawn it.
@@ -201,25 +212,25 @@ class Boards:
         verdicts: Mapping[str, ReplayVerdict],
         now: datetime,
     ) -> None:
-        self.course = course
-        self.now = now
-        self.state = SeasonState.of(course)
-        self.played = {
+        state = SeasonState.of(course)
+        played = {
             (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts)
-            for one in self.state.attempts("over")
+            for one in state.attempts("over")
         }
+        self._facts = _Facts(course, state, played, now)
 
     def seen_by(self, viewer: str) -> SeasonBoard:
         """Return the board for `PUBLIC`, for `ORGANISER` or for the entrant of this name."""
-        return self._whole.board(viewer) if viewer == ORGANISER else self._public.board(viewer)
+        return (self._whole if viewer == ORGANISER else self._public).seen_by(viewer)
 
     @cached_property
     def _public(self) -> _Board:
-        return _Board(self, self.state.closed is not None, self.state.frozen_at(self.now))
+        state = self._facts.state
+        return _Board(self._facts, state.closed is not None, state.frozen_at(self._facts.now))
 
     @cached_property
     def _whole(self) -> _Board:
-        return _Board(self, True, None)
+        return _Board(self._facts, True, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +246,15 @@ class _Played:
     scores: Mapping[str, Sequence[float]]
     forfeits: tuple[Forfeit, ...]
     verified: bool
+
+
+class _Facts(NamedTuple):
+    """What the boards for all viewers are made of; `played` has each attempt's entrant and number."""
+
+    course: Course
+    state: SeasonState
+    played: Mapping[tuple[str, int], _Played]
+    now: datetime
 
 
 @dataclass(slots=True)
@@ -285,16 +305,16 @@ class _Board:
     """The board for those who may know the same of entrants that are not theirs.
 
     Args:
-        of: the boards that it is one of.
+        facts: that it is made of.
         told: whether they may know the scores of hidden tasks.
         until: when attempts were over that they may know of; None for no limit.
     """
 
-    def __init__(self, of: Boards, told: bool, until: datetime | None) -> None:
-        self._of = of
-        self._state = state = of.state
+    def __init__(self, facts: _Facts, told: bool, until: datetime | None) -> None:
+        self._facts = facts
+        self._state = state = facts.state
         self._until = until
-        proving = of.course.competition.proving
+        proving = facts.course.competition.proving
         self._tasks = tuple(task.name for task in proving if told or not task.hidden)
         self._hidden = tuple(task.name for task in proving if task.name not in self._tasks)
         self._queue = {(one.entrant, one.number): i for i, one in enumerate(queue(state), 1)}
@@ -302,19 +322,19 @@ class _Board:
         self._placed = self._places_of()
         self._times = _spread(sorted({time for one in self._placed.values() for time in one.since}))
         self._over_time = _places(list(self._placed.values()), self._times, state.season.count)
-        self._acts = [one for one in reversed(of.course.acts) if one.act in (*_OF_ALL, *_OF_ITS_OWNER)]
+        self._acts = [one for one in reversed(facts.course.acts) if one.act in (*_OF_ALL, *_OF_ITS_OWNER)]
         self._rows: dict[str, EntrantRow] = {}
 
-    def board(self, viewer: str) -> SeasonBoard:
+    def seen_by(self, viewer: str) -> SeasonBoard:
         """Return the board for one of them."""
-        state, season, now = self._state, self._state.season, self._of.now
+        state, season, now = self._state, self._state.season, self._facts.now
         shown = [self._row(entrant, viewer) for entrant in state.entrants.values()]
         if state.closed is not None:
             phase = "closed"
         else:
             phase = "before" if now < season.opens else "open" if now < season.closes else "over"
         return SeasonBoard(
-            self._of.course.competition.name,
+            self._facts.course.competition.name,
             phase,
             _text(season.opens),
             _text(season.closes),
@@ -341,14 +361,14 @@ class _Board:
         if entrant.excluded:
             return []
         found = entrant.standing(self._until)
-        return [(root, one) for root, one in found if self._of.played[one.entrant, one.number].verified]
+        return [(root, one) for root, one in found if self._facts.played[one.entrant, one.number].verified]
 
     def _lowest_scores(self) -> dict[tuple[str, int], float]:
         """Return the lowest score of each level among those who played it to the end."""
         lowest: dict[tuple[str, int], float] = {}
         for entrant in self._state.entrants.values():
             for _, one in self._standing(entrant):
-                played = self._of.played[one.entrant, one.number]
+                played = self._facts.played[one.entrant, one.number]
                 left = {(lost.task, lost.trial) for lost in played.forfeits}
                 for task, scores in played.scores.items():
                     for number, score in enumerate(scores):
@@ -358,7 +378,7 @@ class _Board:
 
     def _scores(self, attempt: Attempt) -> FloatArray:
         """Return the scores of an attempt's trials, shape (tasks, trials)."""
-        played = self._of.played[attempt.entrant, attempt.number]
+        played = self._facts.played[attempt.entrant, attempt.number]
         scores = np.array([played.scores[task] for task in self._tasks])
         for lost in played.forfeits:
             if lost.task in self._tasks:
@@ -434,7 +454,7 @@ class _Board:
         unseen = self._until is not None and one.ended is not None and one.ended > self._until
         if one.state != "over" or (unseen and not knows):
             return row
-        played = self._of.played[one.entrant, one.number]
+        played = self._facts.played[one.entrant, one.number]
         if not played.verified:
             return replace(row, state="unverified")
         scores = self._scores(one)
@@ -445,7 +465,11 @@ class _Board:
             score=_total(scores),
             tasks=self._by_task(scores),
             counts=placed is not None and one.number in placed.counting,
-            forfeits=tuple(lost for lost in played.forfeits if lost.task in self._tasks),
+            forfeits=tuple(
+                lost if knows else replace(lost, reason=_rule(lost.reason))
+                for lost in played.forfeits
+                if lost.task in self._tasks
+            ),
         )
 
     def _by_task(self, scores: FloatArray) -> dict[str, float]:
@@ -464,6 +488,14 @@ class _Board:
 def _knows(viewer: str, name: str) -> bool:
     """Return whether a viewer may know everything about an entrant."""
     return viewer in (ORGANISER, name)
+
+
+def _rule(reason: str) -> str:
+    """Return the reason of a forfeit without what its entrant has chosen: names and messages."""
+    if not reason.startswith(_AGENT):
+        return reason.partition(": ")[0]
+    did = _DID.search(reason)
+    return "its agent " + (did[0] if did else "failed")
 
 
 def _counting(totals: Sequence[float], count: str) -> list[int]:

@@ -14,16 +14,20 @@ entrant. A refusal is JSON, `{"error": TEXT}`, with 429 or 503 and Retry-After i
 from __future__ import annotations
 
 import asyncio
+import errno
 import hashlib
+import io
 import ipaddress
 import json
 import math
+import os
 import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Final, cast
 
@@ -36,7 +40,9 @@ from experiment_runner.competition.course import course_of
 from experiment_runner.competition.season.control import NoServer, ask
 from experiment_runner.competition.season.images import MODULE
 from experiment_runner.competition.season.trying import tasks_of
+from experiment_runner.competition.settings import load_competition
 from experiment_runner.competition.starters import name_of_run
+from experiment_runner.store.layout import COMPETITION_FILE
 from glue.client.season import PREFIX
 from glue.console import one_line
 from glue.errors import GlueError
@@ -47,7 +53,13 @@ _MOST_JSON: Final = 2**14
 _MOST_UPLOADS: Final = 4
 """Images that are received at once."""
 
+_JSON_SECONDS: Final = 10.0
 _UPLOAD_SECONDS: Final = 900.0
+"""Time for the body of a request to come."""
+
+_LOAD_SECONDS: Final = 900.0
+"""Time to check an image, and for the engine to take it."""
+
 _UPLOADS: Final = "uploads"
 """Folder in the directory of a season for images on their way to the engine."""
 
@@ -154,7 +166,7 @@ class _Entrance:
         shutil.rmtree(directory / _UPLOADS, ignore_errors=True)  # of a server that was killed
 
     async def join(self, request: Request) -> _Answer:
-        self._joins.take(_address(request))
+        self._joins.take(address_of(request))
         body = await self._json(request)
         try:
             key = decode(str(body.get("key")))
@@ -175,11 +187,14 @@ class _Entrance:
         return pass_on
 
     async def tasks(self, request: Request) -> _Answer:
-        self._of_address.take(_address(request))
-        return tasks_of((await run_in_threadpool(course_of, self._directory)).competition)
+        self._of_address.take(address_of(request))
+        # Not the journal, which anybody could make the page read, however long it is.
+        file = self._directory / COMPETITION_FILE
+        return tasks_of(await run_in_threadpool(partial(load_competition, file, follow=False)))
 
     async def image(self, request: Request) -> _Answer:
         entrant = await self._sender(request)
+        self._images.take(entrant)
         season = (await run_in_threadpool(course_of, self._directory)).season
         if season is None or not season.images:
             raise Denied("this season takes no images: play with glue-agent and season.toml", 403)
@@ -189,9 +204,8 @@ class _Entrance:
         if int(size) > season.most_bytes:
             most = f"{season.most_bytes / 2**20:g} MiB"
             raise Denied(f"the image has {int(size) / 2**20:.1f} MiB, and {most} are allowed", 413)
-        self._images.take(entrant)
         with self._upload(entrant, int(size)) as file:
-            await _received(request, file, int(size))
+            await _received(request, file, int(size), _UPLOAD_SECONDS)
             found = await _loaded(file.name, season.most_bytes, f"glue-season/{name_of_run(self._directory)}")
         return await self._ask({"do": "submit", "entrant": entrant, "image": found, "name": found})
 
@@ -202,14 +216,17 @@ class _Entrance:
             raise Denied("another image of this entrant is being received", 429, _RESTART_SECONDS)
         if len(self._uploading) >= _MOST_UPLOADS:
             raise Denied(f"{_MOST_UPLOADS} images are being received: try again", 503, _RESTART_SECONDS)
-        folder = self._directory / _UPLOADS
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if shutil.disk_usage(folder).free < _ROOM * size:
-            raise Denied("the season's machine has no room for the image now: tell its organiser", 503, 600)
         self._uploading.add(entrant)
+        folder = self._directory / _UPLOADS
         try:
+            folder.mkdir(mode=0o700, exist_ok=True)
+            if shutil.disk_usage(folder).free < _ROOM * size:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             with tempfile.NamedTemporaryFile(dir=folder, suffix=".tar") as file:
                 yield cast("BinaryIO", file)
+        except OSError as error:
+            why = f"the season's machine cannot keep the image: {error.strerror}; tell its organiser"
+            raise Denied(why, 503, 600) from None
         finally:
             self._uploading.discard(entrant)
 
@@ -219,7 +236,7 @@ class _Entrance:
         Raises:
             Denied: nobody has, or it asks too often.
         """
-        self._of_address.take(_address(request))
+        self._of_address.take(address_of(request))
         entrant = request.headers.get(ENTRANT, "")
         if not entrant or len(entrant) > _MOST_LETTERS or not entrant.isascii():
             raise Denied(f"the request needs the header {ENTRANT}: the name of the entrant", 403)
@@ -237,14 +254,10 @@ class _Entrance:
 
     async def _json(self, request: Request) -> Mapping[str, Any]:
         """Return the body of a request, if it is what was signed."""
-        content = bytearray()
-        async for piece in request.stream():
-            content += piece
-            if len(content) > _MOST_JSON:
-                raise Denied(f"the body has more than {_MOST_JSON:,} bytes", 413)
-        _check_digest(request, hashlib.sha256(content).hexdigest())
+        content = io.BytesIO()
+        await _received(request, content, _MOST_JSON, _JSON_SECONDS)
         with suppress(ValueError, RecursionError):
-            body = json.loads(content)
+            body = json.loads(content.getvalue())
             if isinstance(body, dict):
                 return body
         raise Denied("the body is not a JSON object")
@@ -262,24 +275,22 @@ class _Entrance:
         raise Denied(str(reply["error"]), 429 if seconds else 403, seconds)
 
 
-async def _received(request: Request, file: BinaryIO, size: int) -> None:
-    """Write the body of a request to a file."""
+async def _received(request: Request, file: BinaryIO, most: int, seconds: float) -> None:
+    """Write the body of a request to a file, if it is what was signed."""
     digest, count = hashlib.sha256(), 0
     try:
-        async with asyncio.timeout(_UPLOAD_SECONDS):
+        async with asyncio.timeout(seconds):
             async for piece in request.stream():
                 count += len(piece)
-                if count > size:
-                    raise Denied("the body is longer than its Content-Length", 413)
+                if count > most:
+                    raise Denied(f"the body has more than {most:,} bytes", 413)
                 digest.update(piece)
                 await run_in_threadpool(file.write, piece)
         await run_in_threadpool(file.flush)
     except TimeoutError:
-        raise Denied(f"the image has not come within {_UPLOAD_SECONDS / 60:g} minutes", 408) from None
-    except OSError as error:
-        reason = error.strerror or "an error of its disk"
-        raise Denied(f"the season's machine cannot keep the image: {reason}", 503, 600) from None
-    _check_digest(request, digest.hexdigest())
+        raise Denied(f"the body has not come within {seconds:g} s", 408) from None
+    if request.headers.get(DIGEST) != digest.hexdigest():
+        raise Denied("the body is not the one that was signed: send it again")
 
 
 async def _loaded(path: str, most: int, repository: str) -> str:
@@ -287,10 +298,13 @@ async def _loaded(path: str, most: int, repository: str) -> str:
     command = (sys.executable, "-P", "-m", MODULE, path, str(most), repository)
     process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
     try:
-        printed, _ = await process.communicate()
-    except asyncio.CancelledError:
-        process.kill()
-        raise
+        async with asyncio.timeout(_LOAD_SECONDS):
+            printed, _ = await process.communicate()
+    except TimeoutError:
+        raise Denied("the image cannot be loaded in time: tell the season's organiser", 503, 600) from None
+    finally:
+        if process.returncode is None:
+            process.kill()
     try:
         found = json.loads(printed)
     except ValueError:
@@ -300,16 +314,22 @@ async def _loaded(path: str, most: int, repository: str) -> str:
     return str(found["id"])
 
 
-def _check_digest(request: Request, digest: str) -> None:
-    if request.headers.get(DIGEST) != digest:
-        raise Denied("the body is not the one that was signed: send it again")
+def address_of(request: Request) -> str:
+    """Return the address that limits count by; one network of IPv6 is one.
 
-
-def _address(request: Request) -> str:
-    """Return the address that limits count by; one network of IPv6 is one."""
+    A proxy on this machine says whom it asks for, after whatever that one has sent itself.
+    """
     host = request.client.host if request.client else ""
-    with suppress(ValueError):
-        address = ipaddress.ip_address(host)
-        if address.version == 6:
-            return str(ipaddress.ip_network((address, 64), strict=False))
-    return host
+    try:
+        address = _ip(host)
+        if address.is_loopback and (passed := request.headers.getlist("x-forwarded-for")):
+            address = _ip(passed[-1].rpartition(",")[2].strip())
+    except ValueError:
+        return host
+    return str(ipaddress.ip_network((address, 64), strict=False) if address.version == 6 else address)
+
+
+def _ip(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    """Return an address; that of IPv4 if a socket of IPv6 has it, or they would all be in one network."""
+    address = ipaddress.ip_address(text)
+    return (address.ipv4_mapped or address) if isinstance(address, ipaddress.IPv6Address) else address

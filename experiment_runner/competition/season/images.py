@@ -7,11 +7,13 @@ of the image, or `error`. It is a process of its own, with little memory: a stra
 
 The engine would load whatever is in such a file: several images, under any name, so that one of this machine
 would mean another image afterwards; a layer that is small and unpacks to terabytes; a sparse file. So it gets
-a new tar, with one image that has no name, of which every byte and file has been counted.
+a new tar, with one image that has no name, of which every byte and file has been counted. What Python and the
+engine might read differently is refused, so that both count the same.
 """
 
 from __future__ import annotations
 
+import errno
 import gzip
 import io
 import json
@@ -25,7 +27,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Final, cast
+from typing import IO, Any, BinaryIO, Final, Self, cast
 
 from experiment_runner.competition.jail import check_image
 from glue.console import one_line
@@ -52,12 +54,39 @@ _GZIP: Final = b"\x1f\x8b"
 _OTHERS: Final = (b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")
 """First bytes of the other compressions that an engine knows, which are not counted here."""
 
+_WRONG: Final = (
+    *(tarfile.TarError, zlib.error, EOFError, OSError),
+    *(ValueError, OverflowError, MemoryError, RecursionError),
+)
+"""Errors of a file that is not what it should be."""
+
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT)
+
 _ARCHITECTURES: Final = {"x86_64": "amd64", "aarch64": "arm64"}
 """Docker's names of the processors that Python names otherwise."""
 
 
 class UnfitImage(ConfigError):
     """A file holds no image that can be loaded; the message says why."""
+
+
+class _Header(tarfile.TarInfo):
+    """A header of a layer.
+
+    `TarFile` takes the first header that it cannot read for the end, where the engine may go on. And the
+    engine skips zeros before a number, which Python takes for its end: a sparse file of gigabytes would have
+    no size here.
+    """
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
+        try:
+            found = super().frombuf(buf, encoding, errors)
+        except tarfile.InvalidHeaderError as error:  # type: ignore[attr-defined]
+            raise tarfile.ReadError(str(error)) from None
+        if found.type in (tarfile.GNUTYPE_SPARSE, tarfile.XGLTYPE) or found.size < 0:
+            raise UnfitImage("a layer has a sparse file or a global header: docker save writes none")
+        return found
 
 
 def copy_image(source: BinaryIO, target: BinaryIO, most: int) -> None:
@@ -110,10 +139,10 @@ def _check_config(config: Mapping[str, Any]) -> None:
 def _members(archive: tarfile.TarFile) -> dict[str, tarfile.TarInfo]:
     """Return the members of a tar by their names."""
     members: dict[str, tarfile.TarInfo] = {}
-    while (member := archive.next()) is not None:
-        members[posixpath.normpath(member.name)] = member
-        if len(members) > _MOST_MEMBERS:
+    for count, member in enumerate(archive, 1):
+        if count > _MOST_MEMBERS:
             raise UnfitImage(f"the file has more than {_MOST_MEMBERS:,} parts")
+        members[posixpath.normpath(member.name)] = member
     return members
 
 
@@ -164,9 +193,11 @@ def _unpacked(layer: IO[bytes], left: int, most: int) -> int:
         plain = cast("IO[bytes]", gzip.GzipFile(fileobj=layer)) if head.startswith(_GZIP) else layer
         content = _Bounded(plain, left, most)
         total = 0
-        with tarfile.open(fileobj=content, mode="r|") as files:
+        with tarfile.open(fileobj=content, mode="r|", tarinfo=_Header) as files:
             while (file := files.next()) is not None:
-                total += _BLOCK + file.size  # of a sparse file, what it takes when it is unpacked
+                if file.issparse():  # as PAX writes it
+                    raise UnfitImage("a layer has a sparse file: docker save writes none")
+                total += _BLOCK + file.size
                 content.check(total)
                 files.members = []  # type: ignore[attr-defined]  # it would keep them all
         while content.read(_PIECE):
@@ -209,7 +240,9 @@ def _named(what: str) -> Iterator[None]:
     """Turn the errors of a file that is not what it should be into `UnfitImage`."""
     try:
         yield
-    except (tarfile.TarError, zlib.error, EOFError, OSError, ValueError, OverflowError, MemoryError) as error:
+    except _WRONG as error:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            raise
         why = one_line(str(error), _MOST_SHOWN) or type(error).__name__
         raise UnfitImage(f"{what} is not as docker save writes it: {why}") from None
 
@@ -227,6 +260,8 @@ def main() -> None:
             found = {"id": Containers().load(copy, repository)}
     except GlueError as error:
         found = {"error": str(error)}
+    except OSError as error:  # not of the image
+        sys.exit(f"cannot check an image: {error}")
     print(json.dumps(found))
 
 

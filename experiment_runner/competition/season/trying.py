@@ -16,7 +16,7 @@ import msgspec
 from experiment_runner.competition.check import in_words, tried
 from experiment_runner.competition.match import MODULE, REPORTS
 from experiment_runner.competition.organiser import check, matches
-from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
+from experiment_runner.competition.settings import Competition, Entrant
 from experiment_runner.competition.starters import starter_for
 from experiment_runner.competition.trials import trials
 from experiment_runner.executors.workers import LocalExecutor
@@ -26,7 +26,8 @@ from glue.plugins.loading import names
 from glue.wire.messages import Role
 
 _SEED: Final = b"at home"
-_LENGTHS: Final = ("episodes", "steps", "max_steps")
+_TOLD: Final = ("name", "trials", "limits", "tasks")
+_OTHERS: Final = ("episodes", "steps", "max_steps", "rate", "late")
 _LEVELS: Final = ("level_seed", "mdp")
 """Options that name a level, which a hidden task does not tell."""
 
@@ -36,17 +37,15 @@ def tasks_of(competition: Competition) -> Mapping[str, Any]:
     tasks = []
     for task in competition.proving:
         kept = (name for name in task.options if name not in _LEVELS or not task.hidden)
-        options = {name: task.options[name] for name in kept}
         # A path of the organiser's machine says nothing elsewhere.
-        told = {"name": task.name, "env": Path(task.env).name, "options": options}
-        lengths = {name: getattr(task, name) for name in _LENGTHS}
-        tasks.append(told | {name: length for name, length in lengths.items() if length})
-    return {
-        "name": competition.name,
-        "trials": competition.trials,
-        "limits": asdict(competition.limits),
-        "tasks": tasks,
-    }
+        told = {
+            "name": task.name,
+            "env": Path(task.env).name,
+            "options": {one: task.options[one] for one in kept},
+        }
+        tasks.append(told | {one: getattr(task, one) for one in _OTHERS if getattr(task, one)})
+    values = (competition.name, competition.trials, asdict(competition.limits), tasks)
+    return dict(zip(_TOLD, values, strict=True))
 
 
 def competition_of(told: Mapping[str, Any]) -> Competition:
@@ -56,13 +55,8 @@ def competition_of(told: Mapping[str, Any]) -> Competition:
         ExperimentError: it is something else, perhaps of a newer version; or an environment is missing here.
     """
     try:
-        competition = Competition(
-            name=str(told["name"]),
-            trials=int(told["trials"]),
-            tasks=tuple(msgspec.convert(task, Task, strict=True) for task in told["tasks"]),
-            limits=msgspec.convert(told["limits"], Limits),
-        )
-    except (KeyError, TypeError, ValueError) as error:
+        competition = msgspec.convert({name: told.get(name) for name in _TOLD}, Competition)
+    except msgspec.ValidationError as error:
         why = one_line(str(error), 200)
         raise ExperimentError(f"the season tells of its tasks in another form, is it newer? {why}") from None
     installed = names(Role.ENVIRONMENT)

@@ -37,12 +37,15 @@ class Publisher:
         Raises:
             ExperimentError: the season cannot be read, or a file not be written.
         """
-        if not self._written:
+        first = not self._written
+        if first:
             for name in static_files():
                 where = "index.html" if name == "season.html" else f"static/{name}"
                 self._write(where, static_content(name))
         for name, content in self._files():
             self._write(name, content)
+        if first:
+            self._remove_other_names()
 
     def keep(self, say: Callable[[str], None]) -> None:
         """Publish now, and every minute in a thread that does not keep the program from ending.
@@ -78,6 +81,15 @@ class Publisher:
         yield "feed.xml", self._views.feed()
         for entrant in board["entrants"]:
             yield f"entrants/{entrant['name']}.json", self._views.entrant(PUBLIC, entrant["name"])
+
+    def _remove_other_names(self) -> None:
+        """Remove what was published while the season showed its entrants by the other of their names."""
+        for one in self._views.state.entrants.values():
+            for shown in filter(None, (one.name, one.act.alias)):
+                name = f"entrants/{shown}.json"
+                if name not in self._written:
+                    with reported(f"cannot remove {self._folder / name}"):
+                        (self._folder / name).unlink(missing_ok=True)
 
     def _write(self, name: str, content: bytes) -> None:
         if self._written.get(name) != hash(content):

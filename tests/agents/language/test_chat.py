@@ -234,7 +234,7 @@ def test_an_endpoint_that_nobody_can_trust_is_bounded_and_told_in_words(reply: R
         read_reply(Endpoint(url, SECRET).post({"model": "m"}, 0.3 if reply is dripping else 20.0))
     assert SECRET not in str(failure.value)
     assert len(str(failure.value)) < 500
-    with pytest.raises(EndpointFailed, match="cannot be asked: ConnectionRefused"):
+    with pytest.raises(EndpointFailed, match="cannot be asked: Connection refused"):
         Endpoint(url).post({}, 20.0)
 
 

@@ -27,6 +27,14 @@ def test_version_2_has_one_tree(tmp_path: Path) -> None:
     assert (group.processor, group.peak) == (2.5, 1048576)
 
 
+def test_the_group_of_podmans_monitor_is_not_the_containers(tmp_path: Path) -> None:
+    folder = second(tmp_path)
+    folder.rename(tmp_path / f"system.slice/libpod-conmon-{ID}.scope")
+    assert ControlGroup(ID, tmp_path).processor is None
+    (tmp_path / f"system.slice/libpod-conmon-{ID}.scope").rename(tmp_path / f"libpod-{ID}.scope")
+    assert ControlGroup(ID, tmp_path).processor == 2.5
+
+
 def test_version_1_has_a_tree_for_each_resource(tmp_path: Path) -> None:
     for tree, file, text in (
         ("cpuacct", "cpuacct.usage", "1500000000\n"),

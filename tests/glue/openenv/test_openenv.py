@@ -176,7 +176,7 @@ def test_server_that_is_none_is_refused_in_one_line() -> None:
         (b"<html>", "is not the JSON"),
         (None, "no OpenEnv server answers at .*BadStatusLine"),
         (b"[" * 10**5, "is not the JSON"),
-        (b" " * (2**20 + 1), "is not the JSON"),
+        (b" " * (2**20 + 1), "has sent more than"),
         (b"{}", "expected the JSON schema of an object"),
         (b'{"action": {"properties": {"a": {}}}, "observation": {"properties": {}}}', "no fields"),
     ],
@@ -211,7 +211,7 @@ def test_schema_that_drips_is_not_waited_for() -> None:
 
     with socket.create_server(("127.0.0.1", 0)) as listening:
         threading.Thread(target=drip, args=[listening], daemon=True).start()
-        with pytest.raises(ConfigError, match=r"no OpenEnv server answers at .*TimeoutError"):
+        with pytest.raises(ConfigError, match=r"has not answered within 0\.2 s"):
             glue.make(f"openenv:http://127.0.0.1:{listening.getsockname()[1]}", timeout=0.2)
 
 

@@ -43,6 +43,7 @@ phase = "proving"
 env = "mines"
 options = { level_seed = 7, random_start = false }
 episodes = 3
+rate = 50
 phase = "proving"
 hidden = true
 [tasks.final]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 from contextlib import suppress
 from dataclasses import replace
 
@@ -203,3 +205,38 @@ def test_after_reruns_the_board_is_as_if_it_had_been_so_from_the_start(
         scores, left = tries[-1]
         straight.attempt(name, *scores, forfeit=left)
     assert essence(again.board()) == essence(straight.board())
+
+
+@pytest.mark.parametrize(
+    ("reason", "public"),
+    [
+        ("it did not connect within 8 s", "it did not connect within 8 s"),
+        ("its program ended with status 3", "its program ended with status 3"),
+        ("its action was refused: no action is called ann", "its action was refused"),
+        ("agent AnnsBot raised in agent_step: /home/ann/x is missing", "its agent raised in agent_step"),
+        ("the agent AnnsBot was unreachable for 5.0 s", "its agent was unreachable for 5.0 s"),
+        ("agent AnnsBot ran out of time: its bank of 60 s is empty", "its agent ran out of time"),
+        ("the agent AnnsBot left: I am ann", "its agent left"),
+        ("agent AnnsBot has found another way", "its agent failed"),
+    ],
+)
+def test_what_a_program_says_of_its_owner_is_for_its_owner(made: Made, reason: str, public: str) -> None:
+    made.attempt("ann", 0.0, forfeit=reason)
+    for viewer, told in ((PUBLIC, public), ("bob", public), ("ann", reason), (ORGANISER, reason)):
+        rows = made.board(viewer).entrants
+        assert [lost.reason for row in rows for one in row.attempts for lost in one.forfeits] == [told]
+
+
+def test_boards_that_are_old_leave_the_memory_at_once() -> None:
+    made = Made(["alice"])
+    made.attempt("alice", 1.0)
+    boards = Boards(made.course, made.outcomes, made.verdicts, made.now)
+    for viewer in (PUBLIC, ORGANISER, "alice"):
+        boards.seen_by(viewer)
+    old = weakref.ref(boards)
+    gc.disable()
+    try:
+        del boards
+        assert old() is None
+    finally:
+        gc.enable()

@@ -63,18 +63,20 @@ def test_who_joins_has_all_that_is_needed_in_a_file(entrance: Entrance, tmp_path
     assert written.key.stat().st_mode & 0o777 == 0o600
     done = run(tmp_path, *join, "lemonade")
     assert (done.returncode, "season.toml exists" in done.stderr) == (2, True)
+    done = run(tmp_path, "glue-compete", "join", entrance.url, "--dir", "b", "--name", "Bob Müller")
+    assert (done.returncode, "cannot be a name" in done.stderr) == (2, True)
+
+
+def test_an_attempt_that_an_image_plays_is_waited_for(entrance: Entrance, tmp_path: Path) -> None:
+    playing = {"state": "playing", "attempt": 2, "trial": 1, "trials": 1, "session": "alice"}
+    entrance.replies = [playing, {"state": "over", "attempt": 2, "place": None}]
+    done = run(tmp_path, "glue-agent", "random", "--season", "season.toml")
+    assert (done.returncode, done.stdout) == (0, "attempt 2 is over\n"), done.stderr
+    assert "Error" not in done.stderr
 
 
 def test_an_attempt_is_played_and_its_result_is_the_output(entrance: Entrance, tmp_path: Path) -> None:
-    over = {
-        "state": "over",
-        "attempt": 2,
-        "outcome": "verified",
-        "score": 7.5,
-        "place": 1,
-        "of": 3,
-        "left": 4,
-    }
+    over = {"state": "over", "attempt": 2, "score": 7.5, "place": 1, "of": 3, "left": 4}
     entrance.replies = [{"state": "verifying", "attempt": 2}, over]
     done = run(tmp_path, "glue-agent", "random", "--season", "season.toml")
     assert done.returncode == 0, done.stderr
@@ -92,7 +94,18 @@ def test_no_attempt_is_played_where_none_is_left(entrance: Entrance, tmp_path: P
 def test_a_program_that_is_missing_costs_no_attempt(entrance: Entrance, tmp_path: Path) -> None:
     done = run(tmp_path, "glue-agent", "--season", "season.toml", "./jumper")
     assert (done.returncode, "there is no program './jumper' here" in done.stderr) == (2, True)
+    done = run(tmp_path, "glue-agent", "--season", "season.toml", "my.py:Agent")
+    assert (done.returncode, "glue-agent my.py:Agent --season" in done.stderr) == (2, True)
     assert not entrance.asked
+
+
+def test_what_has_no_season_is_not_served(tmp_path: Path) -> None:
+    text = FILE[: FILE.index("[season]")] + FILE[FILE.index("[tasks.final]") :]
+    (tmp_path / "file.toml").write_text(text + "[entrants.a]\ncommand = ['true']\n")
+    (tmp_path / "secret.txt").write_text("nobody knows")
+    done = run(tmp_path, "glue-compete", "serve", "file.toml", "--out", "run")
+    assert (done.returncode, "file.toml has no table [season]" in done.stderr) == (2, True)
+    assert not (tmp_path / "run").exists()
 
 
 def test_an_attempt_is_withdrawn(entrance: Entrance, tmp_path: Path) -> None:

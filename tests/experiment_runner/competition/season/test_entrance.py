@@ -14,13 +14,15 @@ import pytest
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 pytest.importorskip("uvicorn", reason="needs the extra web")
 
+from starlette.requests import Request
+
 from experiment_runner.competition.season.control import Attempt, Enrol, TryLater, Withdraw
-from experiment_runner.competition.season.entrance import Denied, Rate
+from experiment_runner.competition.season.entrance import Denied, Rate, address_of
 from experiment_runner.competition.season.trying import competition_of
 from glue.client.libzmq import new_pair
-from glue.client.season import Page, Season, SeasonBusy, SeasonRefused, join
+from glue.client.season import Membership, Page, Season, SeasonBusy, SeasonRefused, join
 from glue.errors import ExperimentError
-from glue.keys.certificates import encode
+from glue.keys.certificates import encode, write_pair
 from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
 from tests.system.runs import wait_until
 
@@ -44,12 +46,20 @@ def entrance(shared: Entrance) -> Entrance:
     return shared
 
 
-def test_whoever_joins_shows_their_key(entrance: Entrance) -> None:
+def test_whoever_joins_shows_their_key(entrance: Entrance, tmp_path: Path) -> None:
     pair, hub = new_pair(), encode(new_pair().public)
+    _, secret = write_pair(tmp_path, "bob", pair)
     entrance.replies = [{"hub_key": hub, "token": "t", "alias": "red fox"}]
-    reply = join(Page(entrance.url), "bob", pair, "lemonade", "")
-    assert reply == {"hub_key": hub, "token": "t", "alias": "red fox"}
+    entrance.replies += [{"hub_key": "x", "token": "t"}, {"hub_key": hub, "token": "\x1b[2J"}]
+    page = Page(entrance.url)
+    assert join(page, "bob", secret, "lemonade") == (
+        Membership(entrance.url, "bob", secret, hub, "t"),
+        "red fox",
+    )
     assert entrance.asked == [Enrol("bob", encode(pair.public), "lemonade")]
+    for why in ("without the key of its hubs", "token that no address can hold"):
+        with pytest.raises(SeasonRefused, match=why):
+            join(page, "bob", secret)
 
 
 def test_nobody_joins_with_the_key_of_another(entrance: Entrance) -> None:
@@ -149,13 +159,19 @@ def test_the_tasks_are_told_without_what_is_hidden(entrance: Entrance) -> None:
         ("secret", {"random_start": False}),
     ]
     found = competition_of(told)
-    assert [(task.steps, task.episodes) for task in found.tasks] == [(20, 0), (0, 3)]
+    assert [(task.steps, task.episodes, task.rate) for task in found.tasks] == [(20, 0, 0.0), (0, 3, 50.0)]
     assert found.trials == 2
 
 
 @pytest.mark.parametrize(
     "change",
-    [{"tasks": 7}, {"limits": {"cpus": "many"}}, {"trials": None}, {"tasks": [{"name": "x"}]}],
+    [
+        {"tasks": 7},
+        {"trials": 10**6},
+        {"limits": {"cpus": "many"}},
+        {"trials": None},
+        {"tasks": [{"name": "x"}]},
+    ],
 )
 def test_tasks_in_another_form_are_refused(entrance: Entrance, change: dict[str, Any]) -> None:
     with pytest.raises(ExperimentError, match="in another form"):
@@ -173,36 +189,57 @@ def left(entrance: Entrance) -> list[Path]:
     return list((entrance.folder / "uploads").glob("*"))
 
 
-def put(entrance: Entrance, size: int, content: bytes) -> socket.socket:
-    """Begin to upload an image."""
-    headers = entrance.headers("PUT", "/season/api/image", digest(b"x" * size))
-    lines = ["PUT /season/api/image HTTP/1.1", "Host: here", f"Content-Length: {size}"]
+def begin(entrance: Entrance, size: int, content: bytes, method: str, what: str) -> socket.socket:
+    """Begin to send a request."""
+    path = f"/season/api/{what}"
+    headers = entrance.headers(method, path, digest(b"x" * size))
+    lines = [f"{method} {path} HTTP/1.1", "Host: here", f"Content-Length: {size}"]
     lines += [f"{name}: {value}" for name, value in headers.items()]
     connected = socket.create_connection(("127.0.0.1", entrance.port))
     connected.sendall("\r\n".join([*lines, "", ""]).encode() + content)
     return connected
 
 
+@pytest.mark.parametrize("what", ["join", "attempt"])
+def test_a_body_that_does_not_come_holds_nothing(
+    entrance: Entrance, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("experiment_runner.competition.season.entrance._JSON_SECONDS", 0.05)
+    with begin(entrance, 100, b"{", "POST", what) as connected:
+        assert connected.recv(100).startswith(b"HTTP/1.1 408 ")
+
+
+def test_a_machine_that_cannot_keep_an_image_says_so(tmp_path: Path) -> None:
+    with entrance_at(tmp_path / "run") as entrance:
+        (tmp_path / "run/uploads").write_text("")
+        with pytest.raises(SeasonBusy, match="cannot keep the image: File exists") as caught:
+            Season(entrance.membership(tmp_path)).submit(io.BytesIO(b"x"))
+        assert caught.value.seconds == 600
+
+
 def test_an_upload_that_stops_half_way_leaves_nothing_and_is_one_at_a_time(tmp_path: Path) -> None:
     with entrance_at(tmp_path / "run") as entrance:
-        with put(entrance, 100_000, b"x" * 50_000):
+        with begin(entrance, 100_000, b"x" * 50_000, "PUT", "image"):
             wait_until(lambda: len(left(entrance)) == 1, "the upload")
             season = Season(entrance.membership(tmp_path))
             with pytest.raises(SeasonBusy, match="another image"):
-                season.ask("image", io.BytesIO(b"x"), "PUT")
+                season.submit(io.BytesIO(b"x"))
         wait_until(lambda: not left(entrance), "its end")
         assert not entrance.asked
 
 
 def test_an_upload_that_is_too_large_is_refused_before_it_comes(entrance: Entrance, tmp_path: Path) -> None:
     with pytest.raises(SeasonRefused, match=r"has 2\.0 MiB, and 1 MiB are allowed"):
-        Season(entrance.membership(tmp_path)).ask("image", io.BytesIO(bytes(2**21)), "PUT")
+        Season(entrance.membership(tmp_path)).submit(io.BytesIO(bytes(2**21)))
     assert not left(entrance)
 
 
-def test_an_upload_that_is_no_image_is_refused(entrance: Entrance, tmp_path: Path) -> None:
+def test_an_upload_that_is_no_image_is_refused(
+    entrance: Entrance, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("glue.client.season._SECONDS", 0.05)  # an image takes longer than other requests
     with pytest.raises(SeasonRefused, match="not as docker save writes it"):
-        Season(entrance.membership(tmp_path)).ask("image", io.BytesIO(b"no image" * 1000), "PUT")
+        Season(entrance.membership(tmp_path)).submit(io.BytesIO(b"no image" * 1000))
     assert not left(entrance)
     assert not entrance.asked
 
@@ -212,7 +249,7 @@ def test_a_season_may_take_no_images(tmp_path: Path) -> None:
         entrance_at(tmp_path / "run", FILE.replace("images = true", "images = false")) as entrance,
         pytest.raises(SeasonRefused, match="takes no images"),
     ):
-        Season(entrance.membership(tmp_path)).ask("image", io.BytesIO(b"x"), "PUT")
+        Season(entrance.membership(tmp_path)).submit(io.BytesIO(b"x"))
 
 
 def test_an_entrant_that_asks_too_often_has_to_wait(tmp_path: Path) -> None:
@@ -256,3 +293,23 @@ def test_a_rate_forgets_those_who_have_rested() -> None:
         now += 0.001
         rate.take(f"stranger {number}")
     assert len(rate._used_until) <= 10_000
+
+
+@pytest.mark.parametrize(
+    ("peer", "passed", "counted"),
+    [
+        ("203.0.113.9", [], "203.0.113.9"),
+        ("2001:db8::1:2:3:4", [], "2001:db8::/64"),
+        ("::ffff:203.0.113.9", [], "203.0.113.9"),
+        ("203.0.113.9", ["198.51.100.1"], "203.0.113.9"),  # says who is no proxy
+        ("127.0.0.1", ["198.51.100.1"], "198.51.100.1"),
+        ("127.0.0.1", ["192.0.2.7, 198.51.100.1"], "198.51.100.1"),  # it has invented the first
+        ("127.0.0.1", ["192.0.2.7", "2001:db8::1"], "2001:db8::/64"),
+        ("127.0.0.1", ["x" * 1000], "127.0.0.1"),
+    ],
+)
+def test_limits_count_by_the_address_behind_a_proxy_of_this_machine(
+    peer: str, passed: list[str], counted: str
+) -> None:
+    headers = [(b"x-forwarded-for", one.encode()) for one in passed]
+    assert address_of(Request({"type": "http", "client": (peer, 1), "headers": headers})) == counted

@@ -102,6 +102,25 @@ def test_a_layer_that_is_there_already_is_a_link() -> None:
     assert found["0.tar"] == found["1.tar"] == LAYER
 
 
+def header(size: bytes, kind: bytes = b"0") -> bytes:
+    """Return the header of a member with this size, as it is written in 12 bytes."""
+    made = bytearray(tarfile.TarInfo("some").tobuf(tarfile.GNU_FORMAT))
+    made[124:136], made[156:157] = size, kind
+    made[148:156] = b" " * 8
+    made[148:156] = b"%06o\0 " % sum(made)
+    return bytes(made)
+
+
+def pax_sparse() -> bytes:
+    """Return a tar with a sparse file of 64 GiB, in the format of PAX."""
+    member = tarfile.TarInfo("huge")
+    member.pax_headers = {"GNU.sparse.size": f"{2**36}", "GNU.sparse.map": "0,0"}
+    return member.tobuf(tarfile.PAX_FORMAT) + bytes(1024)
+
+
+LONG_NAMES = (header(b"%011o\0" % 2, b"L") + b"a".ljust(512, b"\0")) * 3000
+
+
 def sparse() -> bytes:
     """Return a tar with a sparse file of 64 GiB, in the old format of GNU."""
     member = tarfile.TarInfo("huge")
@@ -119,13 +138,21 @@ def sparse() -> bytes:
     [
         (gzip.compress(tar({"zeros": bytes(64 * MOST)})), "too large"),
         (gzip.compress(bytes(64 * MOST)), "too large"),
-        (sparse(), "too large"),
+        (sparse(), "sparse file"),
+        (pax_sparse(), "sparse file"),
+        (header(b"\xff" * 10 + b"\xfe\x00"), "a layer has"),
+        (header(b"%011o\0" % 0, b"g") + LAYER, "global header"),
+        (LAYER[:2048] + header(b"12x4567890\0\0") + bytes(1024), "a layer is not as docker save"),
+        (LONG_NAMES, "a layer is not as docker save"),
         (tar({f"{number}": b"" for number in range(300)}), "too large"),
         (bz2.compress(LAYER), "not by gzip"),
         (b"no tar at all" * 100, "a layer is not as docker save"),
         (gzip.compress(LAYER)[:100], "a layer is not as docker save"),
     ],
-    ids=["bomb", "zeros", "sparse", "many files", "bzip2", "text", "cut"],
+    ids=[
+        *("bomb", "zeros", "sparse", "sparse by PAX", "negative", "global", "broken", "long names"),
+        *("many files", "bzip2", "text", "cut"),
+    ],
 )
 def test_a_layer_that_cannot_be_counted_or_takes_too_much_is_refused(layer: bytes, why: str) -> None:
     with pytest.raises(UnfitImage, match=why):
@@ -178,3 +205,16 @@ def test_an_image_that_could_not_be_jailed_is_refused(settings: bytes, why: str)
 def test_what_is_no_tar_is_refused(data: bytes) -> None:
     with pytest.raises(UnfitImage):
         copy_image(io.BytesIO(data), io.BytesIO(), MOST)
+
+
+@pytest.mark.parametrize(
+    ("data", "why"), [(LONG_NAMES, "docker save"), (header(b"%011o\0" % 0) * 1100, "1,000 parts")]
+)
+def test_a_tar_is_not_read_for_ever(data: bytes, why: str) -> None:
+    with pytest.raises(UnfitImage, match=why):
+        copy_image(io.BytesIO(data), io.BytesIO(), MOST)
+
+
+def test_a_full_disk_is_no_fault_of_the_image() -> None:
+    with open("/dev/full", "wb", buffering=0) as full, pytest.raises(OSError, match="No space left"):
+        copy_image(io.BytesIO(tar(image())), full, MOST)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.competition.records.journal import ANNOUNCE, EVERYBODY
+from experiment_runner.competition.records.journal import ANNOUNCE, CHANGE, EVERYBODY
 from experiment_runner.view.launch import season_viewed
 from experiment_runner.view.season.publish import Publisher
 from experiment_runner.view.season.views import Views
@@ -42,6 +42,16 @@ def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed
         assert (tmp_path / "other").read_text() == "mine"
         publisher.publish()
         assert (public / "index.html").stat().st_mtime_ns >= before
+
+
+def test_nobody_is_found_by_a_name_that_is_no_longer_shown(tmp_path: Path) -> None:
+    with Held(tmp_path / "spring") as held:
+        held.enrol("alice", "amber lynx")
+        entrants = tmp_path / "public" / "entrants"
+        for names, shown in (("own", "alice"), ("pseudonyms", "amber lynx"), ("own", "alice")):
+            held.act(CHANGE, "names", value=f'"{names}"')
+            Publisher(Views(held.directory, lambda: held.now), entrants.parent).publish()
+            assert [path.name for path in entrants.iterdir()] == [f"{shown}.json"]
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
