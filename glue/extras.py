@@ -71,7 +71,8 @@ def unpack_extras(packed: bytes) -> dict[str, Extra]:
         )
     except (ValueError, msgpack.UnpackException, RecursionError) as error:
         raise RemoteProtocolError(
-            f"the extras of an observation are not msgpack within the limits: {error or type(error).__name__}"
+            "the environment sent extras that are not msgpack within the limits: "
+            f"{str(error) or type(error).__name__}"
         ) from None
     if type(pairs) is not tuple:
         raise RemoteProtocolError(f"the extras of an observation are a map, not {pairs!r:.40}")

@@ -17,7 +17,7 @@ from click.core import ParameterSource
 
 from experiment_runner.executors.opening import recorded_plan
 from experiment_runner.executors.settings import HubOptions
-from experiment_runner.plan.extras import Summary, parse_extras
+from experiment_runner.plan.extras import Summary, check_extras, parse_extras
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.ids import REMOTE
 from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE, PLAYERS, Backend
@@ -132,6 +132,7 @@ def _extras(metrics: Iterable[str]) -> dict[str, Summary]:
         if not name:
             raise ConfigError(f"a metric is an extra and what is recorded of it, as in coins=last, not {how}")
     try:
+        check_extras([name for name, _, _ in pairs], [""])
         return parse_extras({name: how for name, _, how in pairs})
     except ExperimentError as error:
         raise ConfigError(str(error)) from None

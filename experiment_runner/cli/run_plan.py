@@ -226,6 +226,11 @@ def check_players(config: RunConfig, plan: Plan) -> None:
             raise ConfigError(f"--{flag} NAME is missing: only a named player runs inside")
     if config.placement.check_actions and not plan.environments:
         raise ConfigError("--check-actions needs --env NAME; glue-env has the option for one from outside")
+    if config.placement.check_actions and plan.pace:
+        raise ConfigError(
+            "with a rate or a delay, an action is carried out in another state than it was chosen in, and "
+            "may be illegal there: leave out --check-actions"
+        )
     if not (config.parallel or config.placement.in_process):
         return
     if config.placement.hub != HubOptions():

@@ -7,6 +7,7 @@ score = "mean"         # of any environment
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from typing import Final, Literal, get_args
 
 from experiment_runner.plan.ids import REMOTE
@@ -45,6 +46,25 @@ def extra_of(key: str, label: str) -> str:
     One that joins from outside has no label of its own: then any is left out.
     """
     return key.partition(".")[2] or key if label == REMOTE else key.removeprefix(f"{label}.")
+
+
+def check_extras(keys: Collection[str], labels: Iterable[str]) -> None:
+    """Check that no two keys mean the same extra of one of the environments with these labels.
+
+    Raises:
+        SettingError: two do: one number is recorded of each.
+    """
+    for label in labels:
+        meant: dict[str, str] = {}
+        for key in keys:
+            other = meant.get(extra_of(key, label))
+            meant[extra_of(key, label)] = key
+            if other is not None:
+                raise SettingError(
+                    f"{other} and {key} are the same extra of {label}, and one number is recorded of each: "
+                    "leave one out",
+                    "extras",
+                )
 
 
 def _summary(value: object, *keys: str) -> Summary:

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
-from experiment_runner.plan.extras import Summary
+from experiment_runner.plan.extras import Summary, check_extras
 from experiment_runner.plan.ids import REMOTE, TrialId, label_of
 from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE
 from experiment_runner.plan.metrics import MetricsPlan
@@ -214,6 +214,7 @@ class Plan:
             for label in labels:
                 if labels.count(label) > 1:
                     raise SettingError(f"two {role} are called {label}; label them apart", role, label)
+        check_extras(self.extras, [sweep.label for sweep in self.environments] or [REMOTE])
         if self.tune is not None:
             labels = [sweep.label for sweep in self.agents]
             for label in self.tune.agents:

@@ -54,8 +54,10 @@ _DONE: Final[Answer] = ((), None)
 
 
 def name_of(player: object) -> str:
-    """Return the name of a player for messages; for a wrapper, the name of the object that it wraps."""
-    return type(getattr(player, "__wrapped__", player)).__name__
+    """Return the name of a player for messages; for a wrapper, the name of the object within."""
+    while (wrapped := getattr(player, "__wrapped__", None)) is not None:
+        player = wrapped
+    return type(player).__name__
 
 
 def role_calls(role: Role, player: Any) -> dict[Kind, Handler]:

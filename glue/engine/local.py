@@ -24,7 +24,7 @@ from glue.errors import LocalProtocolError, PeerFailed, Unsupported, described
 from glue.pace import Pace
 from glue.roles import AgentLike, EnvironmentLike, MaskAgent, capabilities, offers
 from glue.types import CUT_OFF, Action, Observation
-from glue.wire.messages import BESIDE, CALLS, Kind, Role, Value
+from glue.wire.messages import BESIDE, CALLS, MASK, Kind, Role, Value
 
 _WAITING: Final = Pace()
 
@@ -71,7 +71,8 @@ class LocalExperiment(Experiment):
         self._engine = Engine(Action())
         calls = role_calls(Role.AGENT, agent)
         self._agent_reads_masks = offers(agent, MaskAgent)
-        if not BESIDE.isdisjoint(capabilities(environment)):
+        read = {MASK} if self._agent_reads_masks else set()
+        if BESIDE.intersection(capabilities(environment)) - read:  # not all that may come is for the agent
             for kind in (Kind.AGENT_START, Kind.AGENT_STEP):
                 calls[kind] = self._trimming(calls[kind])
         self._paced = _PacedAgent(calls, pace, clock) if pace else None

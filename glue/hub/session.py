@@ -21,7 +21,7 @@ from glue.hub.channel import Channel, Memory
 from glue.hub.observers import Observers
 from glue.hub.timing import SlowCalls, TimeBank
 from glue.pace import Pace
-from glue.types import BESIDE_AT, CUT_OFF, NOTHING_BESIDE, Action
+from glue.types import BESIDE_AT, CUT_OFF, NOTHING_BESIDE, PREFIX_SIZE, Action
 from glue.wire.beside import beside_without, readable, readable_by_agent
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
@@ -127,6 +127,7 @@ class Session:
         "_outstanding",
         "_paced",
         "_pacer",
+        "_passed",
         "_queries",
         "_queries_after",
         "_reply",
@@ -159,6 +160,7 @@ class Session:
         self._lost_since_reply: dict[Role, str] = {}
         self._slow = SlowCalls()
         self._copied = False  # the outstanding call has a copy of an observation, for the agent
+        self._passed = NOTHING_BESIDE  # sizes of what may be sent beside an observation and is read whole
         self._heavy = False  # a body is not light
         self._due = False  # the size of the bodies that are kept has changed
         self._queries = 0  # number of requests without a call since the call `_queries_after`
@@ -225,6 +227,7 @@ class Session:
         repeated reply, or after it.
         """
         role = peer.role
+        self._passed = NOTHING_BESIDE
         self._account()  # it was given up if its only peer was replaced
         if not same:
             self._confirmed.pop(role, None)
@@ -393,13 +396,16 @@ class Session:
             return True
         if kind is _ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
             scalars = (scalars[0], True)  # to an older environment every nonzero number is true
-        if (kind is _ENV_STEP or kind is _ENV_START) and not body.startswith(NOTHING_BESIDE, BESIDE_AT):
+        if (kind is _ENV_STEP or kind is _ENV_START) and not body.startswith(self._passed, BESIDE_AT):
             unoffered = beside_without(body, peer.capabilities)
             if unoffered:
                 text = f"it sent {unoffered} with {kind.name}, and does not offer the capability"
                 self._error(peer, message, ErrorCode.UNSUPPORTED, text)
                 self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} broke the protocol: {text}")
                 return True
+            agent = self.peers.get(Role.AGENT)
+            if agent is not None and readable_by_agent(body, agent.capabilities) is body:
+                self._passed = body[BESIDE_AT:PREFIX_SIZE]
         if self._heavy or len(body) > _LIGHT:
             self._replacing(kind, len(body))
         try:
@@ -474,7 +480,7 @@ class Session:
                 if why:
                     self._fail(ErrorCode.UNSUPPORTED, why)
                     return
-        if (kind is _AGENT_STEP or kind is _AGENT_START) and not body.startswith(NOTHING_BESIDE, BESIDE_AT):
+        if (kind is _AGENT_STEP or kind is _AGENT_START) and not body.startswith(self._passed, BESIDE_AT):
             shown = readable_by_agent(body, player.capabilities if player is not None else ())
             self._copied = shown is not body
             self._due = self._due or (self._copied and self._heavy)

@@ -142,7 +142,7 @@ def _decode_header(frame: bytes) -> tuple[int, str, int, list[Value]]:
         )
     except (ValueError, msgpack.UnpackException, RecursionError) as error:
         raise RemoteProtocolError(
-            f"the header is not msgpack within the limits: {error or type(error).__name__}"
+            f"the header is not msgpack within the limits: {str(error) or type(error).__name__}"
         ) from None
     if type(header) is not list or len(header) < 3:
         raise RemoteProtocolError("a header is an array of a kind, a session, a sequence number, ...")

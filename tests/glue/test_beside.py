@@ -127,6 +127,12 @@ def test_richer_extras_are_refused_where_they_are_made(extras: Any, words: str) 
         Observation(extras=extras)
 
 
+@pytest.mark.parametrize(("data", "why"), [(b"\xc1", "FormatError"), (b"\x81\xa1", "incomplete")])
+def test_bytes_that_are_no_extras_are_explained(data: bytes, why: str) -> None:
+    with pytest.raises(RemoteProtocolError, match=f"the environment sent extras that are not msgpack.*{why}"):
+        unpack_extras(data)
+
+
 @given(st.binary(max_size=200))
 def test_bytes_that_are_no_extras_raise_nothing_but_a_protocol_error(data: bytes) -> None:
     try:

@@ -289,6 +289,7 @@ def test_runs_that_begin_in_one_second_have_directories_of_their_own() -> None:
         ((*PLAYERS, "--episodes", "1", "--rate", "24", "--hub", "tcp://127.0.0.1:9"), "glue-hub"),
         ((*PLAYERS, "--episodes", "1", "--rate", "24", "--inside", "agent"), "leave out --inside agent"),
         ((*MINES, "--episodes", "1", "--late", "1"), "give a rate or a delay, too"),
+        ((*MINES, "--episodes", "1", "--delay", "1", "--check-actions"), "leave out --check-actions"),
         (("--plan", "plan.toml", "--agent-option", "step_size=0.2"), "below [agents.NAME]"),
         ((*MINES, "--episodes", "3", "--engine", "ray", "--address", f"h:{'9' * 5000}"), "HOST:PORT"),
         (("--episodes", "3", "--env", "mines", "--bind", f"tcp://h:{'9' * 5000}"), "address of a hub"),

@@ -201,6 +201,19 @@ def test_a_plan_has_a_table_of_extras() -> None:
             parse_plan(f"episodes = 1\n{wrong}")
 
 
+@pytest.mark.parametrize(
+    ("environments", "key", "label"),
+    [("", "any.score", REMOTE), ('[environments.mines]\nclass = "mines"\n', "mines.score", "mines")],
+)
+def test_one_number_is_recorded_of_an_extra(environments: str, key: str, label: str) -> None:
+    plan = f'episodes = 1\n{environments}[extras]\nscore = "mean"\n{key} = "max"\n'
+    with pytest.raises(SettingError, match=f"{key} are the same extra of {label}"):
+        parse_plan(plan)
+    command = ["--env=mines", "--agent=random", "--episodes=1", "--metric=score=min", "--metric=score=max"]
+    with pytest.raises(ConfigError, match="one number is recorded"):
+        CliRunner().invoke(experiment, command, standalone_mode=False, catch_exceptions=False)
+
+
 @pytest.mark.parametrize("metric", ["coins", "=last", "coins=", "coins=lats"])
 def test_a_metric_of_another_form_is_refused(metric: str) -> None:
     command = ["--env=mines", "--agent=random", "--episodes=1", f"--metric={metric}"]

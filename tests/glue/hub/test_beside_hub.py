@@ -107,3 +107,29 @@ def test_the_hub_accounts_for_the_agents_copy_of_a_large_observation() -> None:
     before = rig.sessions.memory.total
     show(rig, Observation(chars=bytes(100_000), extras={"a": 1}))
     assert rig.sessions.memory.total - before >= 200_000
+
+
+def test_what_one_agent_reads_another_in_its_place_need_not() -> None:
+    rig = filled(agent=("mask",))
+    rig.ask(Kind.RL_ENV_START, 1)
+    (call,) = rig.received("e")
+    rig.put("e", call.kind, call.seq, body=MASKED.body)
+    rig.cut("a")
+    rig.hello("b", Role.AGENT)
+    rig.ask(Kind.RL_START, 2)
+    (call,) = rig.received("e")
+    rig.put("e", call.kind, call.seq, body=MASKED.body)
+    (call,) = rig.received("b")
+    assert call.body == BARE.body
+
+
+def test_a_mask_of_the_experiments_own_allows_the_environment_none() -> None:
+    rig = filled(agent=("mask",), environment=())
+    rig.ask(Kind.RL_AGENT_START, 1, body=MASKED.body)
+    (call,) = rig.received("a")
+    rig.put("a", call.kind, call.seq, body=ACTION)
+    rig.ask(Kind.RL_ENV_START, 2)
+    (call,) = rig.received("e")
+    rig.put("e", call.kind, call.seq, body=MASKED.body)
+    (error,) = rig.received("e")
+    assert error.scalars[0] == ErrorCode.UNSUPPORTED

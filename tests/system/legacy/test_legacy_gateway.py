@@ -13,11 +13,13 @@ from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import PeerFailed
 from glue.types import Action, Observation, Step
+from tests.glue.engine.test_beside_players import ACTION, FULL, Seeing, Showing
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent, Seen
 from tests.system.legacy.legacy_client import STYLES, Id
 from tests.system.legacy.legacy_rig import Rig
 
+BARE = FULL.without(mask=True, extras=True)
 CHECKED = sorted(SCENARIOS.keys() - {"test_speed"})
 
 
@@ -147,3 +149,17 @@ def test_a_million_of_each_is_the_maximum_an_original_is_sent(rig: Rig) -> None:
             glue.rl_agent_start(Observation(chars=bytes(count + 1)))
         # The agent was not at fault, and stays.
         assert glue.rl_agent_start(Observation(ints=[3])) == Action(ints=[3])
+
+
+def test_original_programs_are_shown_neither_masks_nor_extras(rig: Rig) -> None:
+    agent = Seeing(masks=True)
+    rig.ours(Showing())
+    rig.originals(agent)
+    glue = rig.experiment()
+    glue.rl_init()
+    assert glue.rl_start().observation == BARE
+    assert glue.rl_step().observation == BARE
+    assert glue.rl_env_start() == BARE
+    assert glue.rl_env_step(ACTION).observation == BARE
+    glue.close()
+    assert agent.seen == [BARE] * 2
