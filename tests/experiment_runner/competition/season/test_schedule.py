@@ -72,6 +72,7 @@ def test_turns_are_fair_and_an_entrant_plays_one_attempt_at_a_time(
     season = made(f"parallel = {parallel}\nattempts_per_day = 100\nmost_waiting = 100")
     state = season.state
     starts: list[tuple[str, int]] = []
+    ended: dict[str, int] = {}
     for what, name in wishes:
         playing = state.entrants[name].playing
         if what == "ask":
@@ -82,12 +83,14 @@ def test_turns_are_fair_and_an_entrant_plays_one_attempt_at_a_time(
                 starts.append((one.entrant, state.count))
         elif playing is not None:
             state.apply(act(what, name, "", now=season.now, number=playing.number))
+            ended[name] = state.count
         running = [one.entrant for one in state.attempts("playing")]
         assert len(running) == len(set(running)) <= parallel
-        for one in (
-            one for one in state.attempts("waiting") if one == state.entrants[one.entrant].waiting[0]
-        ):
-            since = [name for name, order in starts if order > one.order and name != one.entrant]
+        for one in state.attempts("waiting"):
+            if one.entrant in running or one != state.entrants[one.entrant].waiting[0]:
+                continue  # it waits for its own entrant
+            from_then = max(one.order, ended.get(one.entrant, 0))
+            since = [name for name, order in starts if order > from_then and name != one.entrant]
             assert max(Counter(since).values(), default=0) <= 1 + (
                 state.entrants[one.entrant].served > one.order
             )
