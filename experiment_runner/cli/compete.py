@@ -12,7 +12,7 @@ import click
 
 from experiment_runner.cli.compete_entrants import COMMANDS
 from experiment_runner.cli.compete_serve import ACTS, serve
-from experiment_runner.cli.options import DIRECTORY, naming_out
+from experiment_runner.cli.options import DIRECTORY, FILE, naming_out
 from experiment_runner.cli.season_page import page
 from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
@@ -22,9 +22,7 @@ from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
 from glue.keys.certificates import encode, read_pair, read_public
 
-_READ = click.Path(path_type=Path, dir_okay=False)
-
-_FILE = click.argument("file", type=_READ, metavar="FILE")
+_FILE = click.argument("file", type=FILE, metavar="FILE")
 _DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
 
@@ -136,7 +134,7 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
 @_DIRECTORY
 @click.option(
     "--sign",
-    type=_READ,
+    type=FILE,
     metavar="FILE",
     help="Secret key with which to sign the results, if all are verified; see glue-keys.",
 )

@@ -12,14 +12,14 @@ from typing import Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY
+from experiment_runner.cli.options import DIRECTORY, FILE
 from experiment_runner.competition.season.starter import LANGUAGES, write_starter
 from glue.console import say
 from glue.errors import ConfigError
 
 _SEASON: Final = click.option(
     "--season",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     default=Path("season.toml"),
     show_default=True,
     metavar="FILE",

@@ -13,14 +13,13 @@ from typing import Any, Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY, naming_out
+from experiment_runner.cli.options import DIRECTORY, FILE, check_address, naming_out
 from experiment_runner.plan.limits import Backend
 from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError
 from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
 
-_READ = click.Path(path_type=Path, dir_okay=False)
 _DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
 
@@ -42,7 +41,7 @@ _WHY: Final = click.option(
 
 
 @click.command()
-@click.argument("file", type=_READ, metavar="FILE")
+@click.argument("file", type=FILE, metavar="FILE")
 @click.option(
     "--out",
     type=DIRECTORY,
@@ -107,20 +106,19 @@ def serve(
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_code, read_secret
     from experiment_runner.executors.opening import kept_if_begun
-    from experiment_runner.executors.ray_cluster import parse_address
     from experiment_runner.view.launch import check_view, season_viewed
 
     log = say if log_format == "text" else _log_json
-    if address is not None:
-        if engine != Backend.RAY.value:
-            raise ConfigError("--address is the address of a Ray cluster: add --engine ray")
-        parse_address(address)
+    check_address(Backend(engine), address)
     if page is not None:
         check_view("page")
     competition = load_competition(file)
+    if competition.season is None:
+        raise ConfigError(f"{file} has no table [season]: glue-compete run holds its competition")
     secret = read_secret(competition, os.environ, log)
-    code = None if competition.season is None else read_code(competition.season, os.environ, log)
+    code = read_code(competition.season, os.environ, log)
     gate = None if keys is None else Gate(bind, keys.absolute())
+    check_gate(competition, gate)
 
     def kept() -> None:
         log("nothing is lost: start the same command again")
@@ -129,7 +127,6 @@ def serve(
         with naming_out():
             text = read_text(file, follow=True)
             store = stack.enter_context(open_competition(out, text, competition, secret))
-        check_gate(competition, gate)
         executor = executor_of(competition, Backend(engine), address)
         if page is not None:
             stack.enter_context(
@@ -147,7 +144,7 @@ def _log_json(line: str) -> None:
 
 @click.command()
 @_DIRECTORY
-@click.argument("file", type=_READ, metavar="FILE")
+@click.argument("file", type=FILE, metavar="FILE")
 @_WHY
 def add(directory: Path, file: Path, why: str) -> None:
     """Add the entrants of FILE that the run in DIR does not have yet.
@@ -220,10 +217,7 @@ ACTS: Final = (
     _act("close", "End the season in DIR: what waits is cancelled, what plays is played to its end."),
     _act("freeze", "Stop the public board of the season in DIR from changing; the organiser's still does."),
     _act(
-        "grant",
-        "Grant an entrant of the season in DIR further attempts, on whatever day.",
-        _ENTRANT,
-        _NUMBER,
+        "grant", "Grant an entrant of the season in DIR further attempts, on whatever day.", _ENTRANT, _NUMBER
     ),
     _act(
         "pause",

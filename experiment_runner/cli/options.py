@@ -29,6 +29,7 @@ _WHERE = {
 }
 
 DIRECTORY: Final = click.Path(path_type=Path, file_okay=False)
+FILE: Final = click.Path(path_type=Path, dir_okay=False)
 RUN: Final = click.argument("directory", metavar="RUN", type=DIRECTORY)
 RUNS: Final = click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=DIRECTORY)
 """Decorators of a command that takes one run, or several."""
@@ -95,12 +96,17 @@ def check_backend(config: RunConfig) -> None:
     Raises:
         ConfigError: it is malformed, or trials do not run on a cluster.
     """
+    check_address(config.backend, config.address)
+
+
+def check_address(backend: Backend, address: str | None) -> None:
+    """Check the address of a cluster, as `check_backend`."""
     from experiment_runner.executors.ray_cluster import parse_address
 
-    if config.address is not None:
-        if config.backend is not Backend.RAY:
+    if address is not None:
+        if backend is not Backend.RAY:
             raise ConfigError("--address is the address of a Ray cluster: add --engine ray")
-        parse_address(config.address)
+        parse_address(address)
 
 
 @contextmanager

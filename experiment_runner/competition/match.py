@@ -178,11 +178,7 @@ class _Playing:
             else:
                 bind = gate_for(match.entrant, match.gate)
             config = HubConfig(
-                bind=(bind,),
-                max_sessions=1,
-                max_memory=_MAX_MEMORY,
-                time=match.limits,
-                pace=match.spec.pace,
+                bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits, pace=match.spec.pace
             )
             with ExitStack() as joined:
                 hub = joined.enter_context(

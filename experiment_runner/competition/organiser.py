@@ -110,11 +110,7 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
 
 
 def admissions(
-    competition: Competition,
-    entrants: Iterable[Entrant],
-    kind: str,
-    reason: str,
-    now: datetime | None = None,
+    competition: Competition, entrants: Iterable[Entrant], kind: str, reason: str, now: datetime | None = None
 ) -> list[Act]:
     """Return the acts of admitting entrants, once each can be started.
 

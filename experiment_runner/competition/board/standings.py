@@ -165,10 +165,7 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
     return Standings(
         course.competition.name,
         tasks,
-        (
-            *_placed([one for one in found if not one.missing], tasks),
-            *(one for one in found if one.missing),
-        ),
+        (*_placed([one for one in found if not one.missing], tasks), *(one for one in found if one.missing)),
         _program(results.directory),
         tuple(_seeds(results, course)) if reveal else (),
         tuple(one for one in course.acts if one.act in _SHOWN and (one.act != RERUN or one.trial)),

@@ -77,7 +77,8 @@ class Act:
         team: its team; empty for none.
         token: SHA-256, in hexadecimal, of the token with which its owner sees more of the page.
         number: of the attempt, from 1; of a grant, the number of attempts.
-        instead: of a rerun of an attempt: number of the attempt that no longer counts.
+        instead: of a rerun of an attempt: number of the attempt that no longer counts; of a request, of the
+            attempt that is `ours`, and whose charge this one takes over.
         value: of a change, the setting's new value, as JSON; of a start, the number of the slot.
     """
 

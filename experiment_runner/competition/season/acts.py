@@ -53,6 +53,8 @@ def acts_for(
         raise ExperimentError(
             f"{wanted.act:.20} is an act of a season, and the competition's file has no table [season]"
         )
+    if state.closed is not None and wanted.act in (journal.RERUN, journal.CLOSE):
+        raise ExperimentError(f"the season was closed at {state.closed}")
     match wanted.act:
         case journal.RERUN:
             return [_rerun(wanted, state, now)]
@@ -71,21 +73,16 @@ def acts_for(
                 raise ExperimentError(f"the board is{' not' if wanted.act == journal.THAW else ''} frozen")
             return [one(EVERYBODY)]
         case journal.CLOSE:
-            if state.closed is not None:
-                raise ExperimentError(f"the season was closed at {state.closed}")
-            return [
-                *(
-                    one(waiting.entrant, journal.CANCEL, waiting.number)
-                    for waiting in state.attempts("waiting")
-                ),
-                one(EVERYBODY),
-            ]
+            waiting = state.attempts("waiting")
+            cancelled = (one(each.entrant, journal.CANCEL, each.number) for each in waiting)
+            return [*cancelled, one(EVERYBODY)]
     raise ExperimentError(f"there is no act {wanted.act!r:.80}")
 
 
 def _added(wanted: Organise, course: Course, now: datetime) -> list[Act]:
     competition = load_competition(Path(wanted.file))
-    new = [entrant for entrant in competition.entrants if entrant.name not in course.entrants]
+    known = course.entrants
+    new = [entrant for entrant in competition.entrants if entrant.name not in known]
     if not new:
         raise ExperimentError(f"{wanted.file} has no entrant that does not take part already")
     return admissions(competition, new, journal.ADD, wanted.why, now)
@@ -96,15 +93,14 @@ def _ended(state: SeasonState | None, name: str, why: str, now: datetime) -> lis
     if state is None:
         return []
     entrant = state.entrant(name)
-    waiting = [act(journal.CANCEL, name, why, now=now, number=one.number) for one in entrant.waiting]
-    playing = entrant.playing
-    return [*waiting, *([act(journal.OURS, name, why, now=now, number=playing.number)] if playing else [])]
+    return [
+        act(journal.CANCEL if one.state == "waiting" else journal.OURS, name, why, now=now, number=one.number)
+        for one in entrant.current.values()
+    ]
 
 
 def _rerun(wanted: Organise, state: SeasonState, now: datetime) -> Act:
-    name, entrant = wanted.subject, state.entrant(wanted.subject)
-    if state.closed is not None:
-        raise ExperimentError(f"the season was closed at {state.closed}")
+    name, entrant = wanted.subject, state.taking_part(wanted.subject)
     ended = [number for number, one in entrant.attempts.items() if one.state in ("over", "ours")]
     number = wanted.number or max(ended, default=0)
     if number not in ended:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
 from itertools import accumulate
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -212,25 +212,25 @@ class Boards:
         verdicts: Mapping[str, ReplayVerdict],
         now: datetime,
     ) -> None:
-        self.course = course
-        self.now = now
-        self.state = SeasonState.of(course)
-        self.played = {
+        state = SeasonState.of(course)
+        played = {
             (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts)
-            for one in self.state.attempts("over")
+            for one in state.attempts("over")
         }
+        self._facts = _Facts(course, state, played, now)
 
     def seen_by(self, viewer: str) -> SeasonBoard:
         """Return the board for `PUBLIC`, for `ORGANISER` or for the entrant of this name."""
-        return self._whole.board(viewer) if viewer == ORGANISER else self._public.board(viewer)
+        return (self._whole if viewer == ORGANISER else self._public).seen_by(viewer)
 
     @cached_property
     def _public(self) -> _Board:
-        return _Board(self, self.state.closed is not None, self.state.frozen_at(self.now))
+        state = self._facts.state
+        return _Board(self._facts, state.closed is not None, state.frozen_at(self._facts.now))
 
     @cached_property
     def _whole(self) -> _Board:
-        return _Board(self, True, None)
+        return _Board(self._facts, True, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +246,15 @@ class _Played:
     scores: Mapping[str, Sequence[float]]
     forfeits: tuple[Forfeit, ...]
     verified: bool
+
+
+class _Facts(NamedTuple):
+    """What the boards for all viewers are made of; `played` has each attempt's entrant and number."""
+
+    course: Course
+    state: SeasonState
+    played: Mapping[tuple[str, int], _Played]
+    now: datetime
 
 
 @dataclass(slots=True)
@@ -296,16 +305,16 @@ class _Board:
     """The board for those who may know the same of entrants that are not theirs.
 
     Args:
-        of: the boards that it is one of.
+        facts: that it is made of.
         told: whether they may know the scores of hidden tasks.
         until: when attempts were over that they may know of; None for no limit.
     """
 
-    def __init__(self, of: Boards, told: bool, until: datetime | None) -> None:
-        self._of = of
-        self._state = state = of.state
+    def __init__(self, facts: _Facts, told: bool, until: datetime | None) -> None:
+        self._facts = facts
+        self._state = state = facts.state
         self._until = until
-        proving = of.course.competition.proving
+        proving = facts.course.competition.proving
         self._tasks = tuple(task.name for task in proving if told or not task.hidden)
         self._hidden = tuple(task.name for task in proving if task.name not in self._tasks)
         self._queue = {(one.entrant, one.number): i for i, one in enumerate(queue(state), 1)}
@@ -313,19 +322,19 @@ class _Board:
         self._placed = self._places_of()
         self._times = _spread(sorted({time for one in self._placed.values() for time in one.since}))
         self._over_time = _places(list(self._placed.values()), self._times, state.season.count)
-        self._acts = [one for one in reversed(of.course.acts) if one.act in (*_OF_ALL, *_OF_ITS_OWNER)]
+        self._acts = [one for one in reversed(facts.course.acts) if one.act in (*_OF_ALL, *_OF_ITS_OWNER)]
         self._rows: dict[str, EntrantRow] = {}
 
-    def board(self, viewer: str) -> SeasonBoard:
+    def seen_by(self, viewer: str) -> SeasonBoard:
         """Return the board for one of them."""
-        state, season, now = self._state, self._state.season, self._of.now
+        state, season, now = self._state, self._state.season, self._facts.now
         shown = [self._row(entrant, viewer) for entrant in state.entrants.values()]
         if state.closed is not None:
             phase = "closed"
         else:
             phase = "before" if now < season.opens else "open" if now < season.closes else "over"
         return SeasonBoard(
-            self._of.course.competition.name,
+            self._facts.course.competition.name,
             phase,
             _text(season.opens),
             _text(season.closes),
@@ -352,14 +361,14 @@ class _Board:
         if entrant.excluded:
             return []
         found = entrant.standing(self._until)
-        return [(root, one) for root, one in found if self._of.played[one.entrant, one.number].verified]
+        return [(root, one) for root, one in found if self._facts.played[one.entrant, one.number].verified]
 
     def _lowest_scores(self) -> dict[tuple[str, int], float]:
         """Return the lowest score of each level among those who played it to the end."""
         lowest: dict[tuple[str, int], float] = {}
         for entrant in self._state.entrants.values():
             for _, one in self._standing(entrant):
-                played = self._of.played[one.entrant, one.number]
+                played = self._facts.played[one.entrant, one.number]
                 left = {(lost.task, lost.trial) for lost in played.forfeits}
                 for task, scores in played.scores.items():
                     for number, score in enumerate(scores):
@@ -369,7 +378,7 @@ class _Board:
 
     def _scores(self, attempt: Attempt) -> FloatArray:
         """Return the scores of an attempt's trials, shape (tasks, trials)."""
-        played = self._of.played[attempt.entrant, attempt.number]
+        played = self._facts.played[attempt.entrant, attempt.number]
         scores = np.array([played.scores[task] for task in self._tasks])
         for lost in played.forfeits:
             if lost.task in self._tasks:
@@ -445,7 +454,7 @@ class _Board:
         unseen = self._until is not None and one.ended is not None and one.ended > self._until
         if one.state != "over" or (unseen and not knows):
             return row
-        played = self._of.played[one.entrant, one.number]
+        played = self._facts.played[one.entrant, one.number]
         if not played.verified:
             return replace(row, state="unverified")
         scores = self._scores(one)

@@ -264,20 +264,17 @@ def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> R
     Raises:
         NoServer: there is none, or it does not answer.
     """
-    received = bytearray()
     try:
         with _short(directory) as short, socket.socket(socket.AF_UNIX) as client:
             client.settimeout(seconds)
             client.connect(short)
             client.sendall(json.dumps(request).encode() + b"\n")
-            while b"\n" not in received and len(received) <= _MOST_BYTES_OF_REPLY:
-                data = client.recv(2**16)
-                if not data:
-                    raise ConnectionError("it has closed the connection")
-                received += data
+            line = client.makefile("rb").readline(_MOST_BYTES_OF_REPLY)
+            if not line.endswith(b"\n"):
+                raise ConnectionError("its reply is not whole")
     except OSError as error:
         raise NoServer(f"no server answers in {directory}: {error.strerror or error}") from None
-    reply: Reply = json.loads(received)
+    reply: Reply = json.loads(line)
     return reply
 
 

@@ -11,6 +11,7 @@ from datetime import datetime, time, timedelta
 from typing import Final
 
 from experiment_runner.competition.records.journal import REQUEST, Act, act
+from experiment_runner.competition.season.control import TryLater
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from glue.errors import ExperimentError
 
@@ -65,19 +66,27 @@ def returns_at(state: SeasonState, now: datetime) -> datetime | None:
     return midnight if midnight < state.season.closes else None
 
 
+def check_not_over(state: SeasonState, now: datetime) -> None:
+    """Check that entrants can still ask for something.
+
+    Raises:
+        ExperimentError: the season is over.
+    """
+    if state.closed is not None or now >= state.season.closes:
+        raise ExperimentError(f"the season closed at {state.closed or state.season.closes}")
+
+
 def request(state: SeasonState, name: str, now: datetime) -> Act:
     """Return the act of queueing an entrant's next attempt.
 
     Raises:
+        TryLater: it has used its attempts of today.
         ExperimentError: there is no such entrant, or it cannot ask for one now; the message says why.
     """
-    entrant, season = state.entrant(name), state.season
-    if state.closed is not None or now >= season.closes:
-        raise ExperimentError(f"the season closed at {state.closed or season.closes}")
+    check_not_over(state, now)
+    entrant, season = state.taking_part(name), state.season
     if now < season.opens:
         raise ExperimentError(f"the season opens at {season.opens}")
-    if entrant.excluded:
-        raise ExperimentError(f"{name} is excluded: {entrant.excluded}")
     if entrant.paused:
         raise ExperimentError(f"{name} is paused: {entrant.paused}")
     if len(entrant.waiting) >= season.most_waiting:
@@ -87,9 +96,8 @@ def request(state: SeasonState, name: str, now: datetime) -> Act:
     if sum(one.requested.astimezone(season.days).date() == today for one in gone) >= _MOST_LEFT:
         raise ExperimentError(f"{name} has left {_MOST_LEFT} attempts of today while they waited: no more")
     if left(state, entrant, now) < 1:
-        again = returns_at(state, now)
-        raise ExperimentError(
-            f"{name} has used its {season.attempts_per_day} attempts of today"
-            + ("" if again is None else f"; the next day begins at {again}")
-        )
+        used = f"{name} has used its {season.attempts_per_day} attempts of today"
+        if (again := returns_at(state, now)) is None:
+            raise ExperimentError(used)
+        raise TryLater(f"{used}; the next day begins at {again}", (again - now).total_seconds())
     return act(REQUEST, name, "", now=now, number=len(entrant.attempts) + 1)

@@ -18,7 +18,7 @@ import itertools
 import math
 import re
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -27,7 +27,7 @@ from typing import Any, Final
 from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.course import IMAGE_ID, Course, course_of, entrant_of
 from experiment_runner.competition.match import NOT_CONNECTED, Match
-from experiment_runner.competition.organiser import Matches, Say, log_path
+from experiment_runner.competition.organiser import Matches, Say, matches
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act, act
 from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
@@ -35,7 +35,7 @@ from experiment_runner.competition.season import control, schedule
 from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
-from experiment_runner.competition.season.control import Door, Reply, Request, TryLater
+from experiment_runner.competition.season.control import Door, Reply, Request
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.season.worker import Replay, Verified
 from experiment_runner.competition.settings import (
@@ -51,7 +51,6 @@ from experiment_runner.competition.trials import attempt_trials, levels
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.store import Store
 from glue.console import one_line
@@ -99,24 +98,20 @@ class _Slot:
         attempt: the attempt.
         entrant: who plays it.
         number: of the slot, from 0.
-        specs: of its trials, by id, in their order.
-        left: ids of the trials that are not over, in their order.
-        unverified: ids of the trials that are over, and not verified yet.
+        trials: ids of its trials, in their order.
+        left: ids of those that are not over.
         resumed: whether its first trial is played again after a restart of this server, which its program may
             not have survived.
         forfeit: why it is forfeited; empty if it is not.
-        playing: whether the first of `left` is played.
     """
 
     attempt: Attempt
     entrant: Entrant
     number: int
-    specs: Mapping[str, TrialSpec]
+    trials: Sequence[str]
     left: deque[str]
-    unverified: set[str]
     resumed: bool
     forfeit: str = ""
-    playing: bool = False
 
 
 def gate_of(gate: Gate, slot: int) -> Gate:
@@ -183,9 +178,7 @@ class Server(Matches):
         for one in course.acts:
             if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
                 self._admit(one)
-        self._steps = {task.name: task.steps for task in competition.proving}
         self._directory = store.directory.absolute()
-        self._run = name_of_run(self._directory)
         self._dispatcher: Dispatcher | None = None
         self._slots: dict[str, _Slot] = {}
         self._until: dict[str, float] = {}
@@ -232,9 +225,9 @@ class Server(Matches):
         """Go on with the attempts that were played when the server before this one ended."""
         self._dispatcher = dispatcher
         for name in self._named:
-            starter_for(self._player(self._state.entrants[name].act)).sweep(self._run)
+            starter_for(self._player(self._state.entrants[name].act)).sweep(name_of_run(self._directory))
         playing = {(one.entrant, one.number) for one in self._state.attempts("playing")}
-        outcomes, verdicts = (self._store.outcomes(), self._store.verdicts()) if playing else ({}, {})
+        outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
         for one in list(self._acts):
             if one.act == journal.START and (one.subject, one.number) in playing:
                 self._take_slot(one, outcomes, verdicts, resumed=True)
@@ -284,8 +277,7 @@ class Server(Matches):
         season, name = self._state.season, wanted.name
         if season.enrol == "closed" or self._gate is None:
             raise ExperimentError("nobody can enrol: ask the organiser")
-        if self._state.closed is not None or self._now() >= season.closes:
-            raise ExperimentError("the season is over")
+        schedule.check_not_over(self._state, self._now())
         if season.enrol == "code" and not (
             self._code and hmac.compare_digest(self._code.encode(), wanted.code.encode())
         ):
@@ -329,9 +321,7 @@ class Server(Matches):
         return hmac.digest(self._secret, "\0".join(names).encode(), hashlib.sha256)
 
     def _attempt(self, name: str, number: int) -> Reply:
-        entrant = self._state.entrant(name)
-        if entrant.excluded:
-            raise ExperimentError(f"{name} is excluded: {entrant.excluded}")
+        entrant = self._state.taking_part(name)
         if not self._present(name):
             self._looked -= _LOOK_SECONDS
         self._seen[name] = self._clock()
@@ -342,14 +332,7 @@ class Server(Matches):
             return self._shown(entrant, one)
         under_way = entrant.playing or next(iter(entrant.waiting), None)
         if under_way is None:
-            now = self._now()
-            try:
-                self._record(schedule.request(self._state, name, now))
-            except ExperimentError as error:
-                returns = schedule.returns_at(self._state, now)
-                if schedule.left(self._state, entrant, now) or returns is None:
-                    raise
-                raise TryLater(str(error), (returns - now).total_seconds()) from None
+            self._record(schedule.request(self._state, name, self._now()))
             self._look(True)
             under_way = entrant.playing or entrant.waiting[0]
         return self._shown(entrant, under_way)
@@ -365,8 +348,7 @@ class Server(Matches):
         if one.state == "playing":
             if slot is None or not slot.left:
                 return {"state": "verifying", **reply}
-            done = len(slot.specs) - len(slot.left)
-            reply |= {"trial": done + 1, "trials": len(slot.specs), "session": name}
+            reply |= {**_progress(slot), "session": name}
             if slot.entrant.key is not None and self._gate is not None:
                 reply["hub"] = gate_of(self._gate, slot.number).bind
             return {"state": "playing", **reply}
@@ -393,7 +375,7 @@ class Server(Matches):
         """Return the boards after the last act, or somewhat older ones: they may take a fifth of the time."""
         clock = self._clock()
         if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
-            self._boards_of = len(self._acts)
+            self._boards, self._boards_of = None, len(self._acts)
             outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
             self._boards = Boards(self._course, outcomes, verdicts, self._now())
             self._boards.seen_by(ANYBODY)
@@ -414,11 +396,10 @@ class Server(Matches):
         return {}
 
     def _submit(self, wanted: control.Submit) -> Reply:
-        entrant = self._state.entrant(wanted.entrant)
+        self._state.taking_part(wanted.entrant)
         if not self._state.season.images:
             raise ExperimentError("no images are accepted in this season")
-        if entrant.excluded:
-            raise ExperimentError(f"{wanted.entrant} is excluded: {entrant.excluded}")
+        schedule.check_not_over(self._state, self._now())
         if not IMAGE_ID.fullmatch(wanted.image):
             raise ExperimentError(f"{wanted.image!r:.80} is not the id of an image")
         name = one_line(wanted.name, _MAX_NAME)
@@ -432,8 +413,7 @@ class Server(Matches):
                 "entrant": name,
                 "attempt": slot.attempt.number,
                 "state": "playing" if slot.left else "verifying",
-                "trial": min(len(slot.specs) - len(slot.left) + 1, len(slot.specs)),
-                "trials": len(slot.specs),
+                **_progress(slot),
                 "slot": slot.number,
             }
             for name, slot in self._slots.items()
@@ -559,50 +539,42 @@ class Server(Matches):
         specs = attempt_trials(self._levels, self._competition.trials, start)
         if not resumed:
             add_trials(self._store, specs)
+        competition = replace(self._competition, entrants=(entrant,))
+        gate = None if self._gate is None else gate_of(self._gate, int(start.value))
         ids = [str(spec.id) for spec in specs]
-        verified = {trial_id for trial_id, verdict in verdicts.items() if verdict.problem is None}
+        self.matches |= zip(ids, matches(competition, specs, self._directory, gate), strict=True)
         slot = _Slot(
             self._state.attempt(name, start.number),
             entrant,
             int(start.value),
-            dict(zip(ids, specs, strict=True)),
+            ids,
             deque(trial_id for trial_id in ids if trial_id not in outcomes),
-            {trial_id for trial_id in ids if trial_id in outcomes} - verified,
             resumed,
         )
         self._slots[name] = slot
-        for trial_id in ids:
-            if trial_id in outcomes:
-                self._note_forfeit(slot, trial_id, outcomes[trial_id])
-        for trial_id in slot.unverified:
-            self._verify(slot, trial_id, outcomes[trial_id])
+        for trial_id in (one for one in ids if one in outcomes):
+            self._note_forfeit(slot, trial_id, outcomes[trial_id])
+            if trial_id not in verdicts or verdicts[trial_id].problem is not None:
+                self._verify(trial_id, outcomes[trial_id])
 
     def _go_on(self, slot: _Slot) -> None:
         """Play the next trial of an attempt, or end the attempt when there is none."""
-        assert self._dispatcher is not None
-        if not slot.left and not slot.unverified:
+        if slot.left and slot.left[0] not in self._until:
+            self._add(slot.left[0])
+        elif not slot.left and self._replays.keys().isdisjoint(slot.trials):
             self._end(slot)
-        elif slot.left and not slot.playing:
-            slot.playing = True
-            self._play(slot, slot.left[0])
 
-    def _play(self, slot: _Slot, trial_id: str) -> None:
-        assert self._dispatcher is not None
-        spec, limits = slot.specs[trial_id], self._competition.limits
-        gate = None if self._gate is None else gate_of(self._gate, slot.number)
-        steps, log = self._steps[spec.id.parts[1]], log_path(self._directory, trial_id)
-        self.matches[trial_id] = Match(spec, slot.entrant, limits, steps, log, self._run, gate)
-        self._until[trial_id] = (
-            self._clock() + 2 * limits.start_seconds + limits.total_seconds + _SLACK_SECONDS
-        )
-        self._dispatcher.add(trial_id)
+    def _verify(self, trial_id: str, outcome: TrialEnd) -> None:
+        played = self.matches[trial_id]
+        self._replays[trial_id] = Replay(self._directory, played.spec, outcome, played.steps)
+        self._add(trial_id)
 
-    def _verify(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
+    def _add(self, trial_id: str) -> None:
+        """Let a trial be played, or replayed."""
         assert self._dispatcher is not None
-        spec = slot.specs[trial_id]
-        steps = self._steps[spec.id.parts[1]]
-        self._replays[trial_id] = Replay(self._directory, spec, outcome, steps)
-        self._until[trial_id] = self._clock() + self._competition.limits.total_seconds + _SLACK_SECONDS
+        limits = self._competition.limits
+        seconds = 2 * limits.start_seconds + limits.total_seconds + _SLACK_SECONDS
+        self._until[trial_id] = self._clock() + seconds
         self._dispatcher.add(trial_id)
 
     def _note_forfeit(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
@@ -626,12 +598,10 @@ class Server(Matches):
         name, now = slot.entrant.name, self._now()
         attempts = self._state.entrants[name].attempts
         ours = act(journal.OURS, name, why, now=now, number=slot.attempt.number)
-        if slot.attempt.instead:
-            kind, more = journal.RERUN, {"instead": slot.attempt.instead}
-        else:
-            kind, more = journal.REQUEST, {}
+        kind = journal.RERUN if slot.attempt.instead else journal.REQUEST
+        instead = slot.attempt.instead or slot.attempt.number
         why = f"instead of attempt {slot.attempt.number}"
-        again = act(kind, name, why, now=now, number=len(attempts) + 1, **more)
+        again = act(kind, name, why, now=now, number=len(attempts) + 1, instead=instead)
         least, most = _REST_SECONDS
         _, rest = self._rests.get(name, (0.0, least / 2))
         rest = min(2 * rest, most)
@@ -643,10 +613,12 @@ class Server(Matches):
         """Take the slot from an attempt that is no longer played."""
         assert self._dispatcher is not None
         del self._slots[slot.entrant.name]
-        for trial_id in slot.specs:
+        for trial_id in slot.trials:
             self._dispatcher.cancel(trial_id)
             self._until.pop(trial_id, None)
             self._replays.pop(trial_id, None)
+            self._verified.pop(trial_id, None)
+            self._forfeits.pop(trial_id, None)
             self.matches.pop(trial_id, None)
             if trial_id in self._records:
                 self._records.pop(trial_id).close()
@@ -680,7 +652,6 @@ class Server(Matches):
         elif replayed:
             verdict = self._verified.pop(trial_id)
             record_verdict(self._store, trial_id, verdict)
-            slot.unverified.remove(trial_id)
             if verdict.problem is not None:
                 self._fail(slot, f"{trial_id} could not be verified: {verdict.problem}")
             else:
@@ -693,10 +664,14 @@ class Server(Matches):
             slot.resumed = False
             self._note_forfeit(slot, trial_id, outcome)
             slot.left.popleft()
-            slot.playing = False
-            slot.unverified.add(trial_id)
-            self._verify(slot, trial_id, outcome)
+            self._verify(trial_id, outcome)
             self._go_on(slot)
+
+
+def _progress(slot: _Slot) -> dict[str, int]:
+    """Return which trial of an attempt is played or was last, from 1, and how many there are."""
+    count = len(slot.trials)
+    return {"trial": min(count - len(slot.left) + 1, count), "trials": count}
 
 
 def _line(one: Act) -> str:

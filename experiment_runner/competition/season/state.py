@@ -33,8 +33,9 @@ class Attempt:
         why: of `ours` and `cancelled`, the reason; of `over`, why it was forfeited, empty if it was not.
         withdrawn: whether its owner has withdrawn it, so that it does not count.
         instead: number of the attempt instead of which it counts; 0 if it is no rerun.
-        day: the day to which it is charged; None if it costs nothing, or one of the granted attempts.
-        granted: whether it costs one of the granted attempts.
+        day: the day to which it is charged, unless it is `ours` or `cancelled`; None if it costs nothing, or
+            one of the granted attempts.
+        granted: whether it costs one of the granted attempts, likewise.
         order: number of the act that queued it, which orders attempts also if the clock was set back.
     """
 
@@ -199,6 +200,17 @@ class SeasonState:
             raise ExperimentError(f"there is no entrant {name:.80}")
         return self.entrants[name]
 
+    def taking_part(self, name: str) -> Enrolled:
+        """Return an entrant that is not excluded.
+
+        Raises:
+            ExperimentError: it is, or there is none of this name.
+        """
+        entrant = self.entrant(name)
+        if entrant.excluded:
+            raise ExperimentError(f"{name} is excluded: {entrant.excluded}")
+        return entrant
+
     def attempt(self, name: str, number: int) -> Attempt:
         """Return an attempt.
 
@@ -259,14 +271,21 @@ class SeasonState:
         if one.act == journal.RERUN:
             made = replace(made, instead=self.attempt(one.subject, one.instead).number)
         else:
-            day = made.requested.astimezone(self.season.days).date()
-            if entrant.used[day] < self.season.attempts_per_day:
-                made = replace(made, day=day)
-                entrant.used[day] += 1
+            if one.instead:  # of one that failed here: it costs what that one did
+                failed = self.attempt(one.subject, one.instead)
+                day, granted = failed.day, failed.granted
             else:
-                made = replace(made, granted=True)
-                entrant.granted -= 1
+                day = made.requested.astimezone(self.season.days).date()
+                granted = entrant.used[day] >= self.season.attempts_per_day
+            made = replace(made, day=None if granted else day, granted=granted)
+            self._charge(entrant, made, 1)
         entrant.attempts[one.number] = entrant.current[one.number] = made
+
+    @staticmethod
+    def _charge(entrant: Enrolled, one: Attempt, count: int) -> None:
+        if one.day is not None:
+            entrant.used[one.day] += count
+        entrant.granted -= count * one.granted
 
     def _move(self, one: Act) -> None:
         entrant, was = self.entrant(one.subject), self.attempt(one.subject, one.number)
@@ -285,10 +304,8 @@ class SeasonState:
                 new = replace(was, withdrawn=True)
             case _:
                 state: State = "ours" if one.act == journal.OURS else "cancelled"
-                new = replace(was, state=state, ended=one.when, why=one.reason, day=None, granted=False)
-                if was.day is not None:
-                    entrant.used[was.day] -= 1
-                entrant.granted += was.granted
+                new = replace(was, state=state, ended=one.when, why=one.reason)
+                self._charge(entrant, was, -1)
         entrant.attempts[was.number] = new
         entrant.current.pop(was.number, None)
         if new.state == "playing":

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 from contextlib import suppress
 from dataclasses import replace
 
@@ -223,3 +225,18 @@ def test_what_a_program_says_of_its_owner_is_for_its_owner(made: Made, reason: s
     for viewer, told in ((PUBLIC, public), ("bob", public), ("ann", reason), (ORGANISER, reason)):
         rows = made.board(viewer).entrants
         assert [lost.reason for row in rows for one in row.attempts for lost in one.forfeits] == [told]
+
+
+def test_boards_that_are_old_leave_the_memory_at_once() -> None:
+    made = Made(["alice"])
+    made.attempt("alice", 1.0)
+    boards = Boards(made.course, made.outcomes, made.verdicts, made.now)
+    for viewer in (PUBLIC, ORGANISER, "alice"):
+        boards.seen_by(viewer)
+    old = weakref.ref(boards)
+    gc.disable()
+    try:
+        del boards
+        assert old() is None
+    finally:
+        gc.enable()

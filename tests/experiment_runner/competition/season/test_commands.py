@@ -99,6 +99,15 @@ def test_a_program_that_is_missing_costs_no_attempt(entrance: Entrance, tmp_path
     assert not entrance.asked
 
 
+def test_what_has_no_season_is_not_served(tmp_path: Path) -> None:
+    text = FILE[: FILE.index("[season]")] + FILE[FILE.index("[tasks.final]") :]
+    (tmp_path / "file.toml").write_text(text + "[entrants.a]\ncommand = ['true']\n")
+    (tmp_path / "secret.txt").write_text("nobody knows")
+    done = run(tmp_path, "glue-compete", "serve", "file.toml", "--out", "run")
+    assert (done.returncode, "file.toml has no table [season]" in done.stderr) == (2, True)
+    assert not (tmp_path / "run").exists()
+
+
 def test_an_attempt_is_withdrawn(entrance: Entrance, tmp_path: Path) -> None:
     entrance.replies = [{}]
     done = run(tmp_path, "glue-compete", "withdraw", "3")

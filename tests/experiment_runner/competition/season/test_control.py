@@ -118,6 +118,24 @@ def test_without_a_server_that_is_said(tmp_path: Path) -> None:
     assert not (tmp_path / CONTROL).exists()
 
 
+def test_a_reply_that_is_cut_off_is_no_reply(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / CONTROL))
+        listener.listen()
+
+        def answer_in_part() -> None:
+            client, _ = listener.accept()
+            with client:
+                client.recv(100)
+                client.sendall(b'{"ok": ')
+
+        server = threading.Thread(target=answer_in_part)
+        server.start()
+        with pytest.raises(NoServer, match="its reply is not whole"):
+            ask(tmp_path, {"do": "status"})
+        server.join()
+
+
 def test_a_deep_directory_has_a_socket(tmp_path: Path) -> None:
     deep = tmp_path.joinpath(*["x" * 60] * 3)
     deep.mkdir(parents=True)

@@ -90,9 +90,7 @@ def test_a_quota_is_used_up_and_returns(season: Season) -> None:
     assert season.attempt("alice") == 5
 
 
-def test_a_waiting_attempt_whose_program_stops_asking_is_cancelled_and_costs_nothing(
-    season: Season,
-) -> None:
+def test_a_waiting_attempt_whose_program_stops_asking_is_cancelled_and_costs_nothing(season: Season) -> None:
     season.enrol("alice")
     season.act("pause")
     assert season.ask(Attempt("alice")) == {"state": "waiting", "attempt": 1, "place": 1, "why": "because"}
@@ -149,6 +147,23 @@ def test_a_failure_of_ours_costs_no_attempt_and_is_tried_again(season: Season) -
     assert sum(season.state.entrants["alice"].used.values()) == len(season.states("alice")) - 2
 
 
+def test_a_failure_of_ours_costs_nothing_of_the_day_after(season: Season) -> None:
+    season.enrol("alice")
+    season.act("grant", "alice", number=1)
+    season.executor.agents["alice"] = None
+    season.attempt("alice")
+    season.days(1)
+    season.seconds += 10_000
+    season.turns()
+    del season.executor.agents["alice"]
+    season.later(5, "alice")
+    for _ in range(4):  # those of today, and the one granted
+        season.attempt("alice")
+    assert list(season.states("alice").values()) == ["ours", *5 * ["over"]]
+    with pytest.raises(TryLater):
+        season.attempt("alice")
+
+
 def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(season: Season) -> None:
     season.enrol("alice")
     season.executor.agents["alice"] = Raising()
@@ -174,8 +189,9 @@ def test_an_exclusion_takes_effect_at_once_and_can_be_taken_back(season: Season)
     assert not season.executor.jobs
     assert season.states("alice") == {1: "ours"}
     assert season.ask(Key("alice")) == season.ask(Key("nobody")) == {"key": None}
-    with pytest.raises(ExperimentError, match="alice is excluded: because"):
-        season.ask(Attempt("alice"))
+    for refused in (Attempt("alice"), Organise("rerun", "alice", why="because")):
+        with pytest.raises(ExperimentError, match="alice is excluded: because"):
+            season.ask(refused)
     season.act("readmit", "alice")
     del season.executor.agents["alice"]
     season.attempt("alice")
@@ -355,6 +371,9 @@ def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(tmp_path: Path) -
         made.turns()
         (job,) = made.executor.jobs.values()
         assert job.entrant.id == "sha256:" + 64 * "0"
+        made.act("close")  # what has proved itself plays the testing tasks
+        with pytest.raises(ExperimentError, match="the season closed"):
+            made.ask(alice)
 
 
 def test_entrants_of_the_file_play_by_themselves(tmp_path: Path) -> None:
