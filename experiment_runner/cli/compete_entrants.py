@@ -88,6 +88,7 @@ def submit(image: str, season: Path) -> None:
             raise ConfigError(f"cannot read {path}: {error.strerror}") from None
         say(f"sending {path.stat().st_size / 2**20:.1f} MiB")
         found.submit(file)
+    say("the season has the image, which plays your attempts from now on")
     click.echo(found.play(None, say))
 
 

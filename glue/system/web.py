@@ -102,6 +102,8 @@ def ask(
                 )
             with connection.getresponse() as response:
                 data = response.read(MOST_BYTES + 1)
+                if response.length and len(data) <= MOST_BYTES:  # the connection broke
+                    raise http.client.IncompleteRead(data, response.length)
         if late.is_set():
             raise TimeoutError
     except (OSError, ValueError, http.client.HTTPException) as error:

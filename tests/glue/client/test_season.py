@@ -43,6 +43,7 @@ class Script:
     Attributes:
         answers: status and body of the next answers, in order; the last one is given again and again.
         asked: path and body of the requests.
+        cut: bytes of the next answer that do not come, as when the page is killed.
     """
 
     def __init__(self) -> None:
@@ -50,6 +51,7 @@ class Script:
         self.asked: list[tuple[str, Any]] = []
         self.signatures: list[str | None] = []
         self.retry_after = "7"
+        self.cut = 0
         self.url = ""
 
 
@@ -67,6 +69,9 @@ def page() -> Iterator[Script]:
             self.send_response(status)
             self.send_header("Retry-After", script.retry_after)
             self.send_header("Location", "https://x")
+            if script.cut:
+                self.send_header("Content-Length", str(len(data) + script.cut))
+                script.cut = 0
             self.end_headers()
             self.wfile.write(data)
 
@@ -153,6 +158,15 @@ def test_a_page_that_is_restarted_is_asked_again(script: Script, season: tuple[S
     assert season[0].play(None, said.append) == Progress(**OVER)
     assert said == ["not running; asking again"]
     assert season[1] == [7.0, 7.0]
+
+
+def test_an_answer_that_breaks_off_is_asked_for_again(
+    script: Script, season: tuple[Season, list[float]]
+) -> None:
+    script.answers, script.cut = [(200, b'{"state": '), (200, OVER)], 10
+    said: list[str] = []
+    assert season[0].play(None, said.append) == Progress(**OVER)
+    assert "IncompleteRead" in said[0]
 
 
 def test_another_attempt_replaces_one_that_failed_for_a_reason_of_the_seasons(

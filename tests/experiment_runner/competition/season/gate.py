@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import http.client
 import json
 import socket
@@ -19,7 +20,7 @@ from starlette.applications import Starlette
 from experiment_runner.competition.season.control import Door, Key, Reply, Request
 from experiment_runner.competition.season.entrance import routes
 from glue.client.libzmq import new_pair
-from glue.client.season import Membership
+from glue.client.season import PREFIX, Membership
 from glue.errors import ExperimentError
 from glue.keys.certificates import KeyPair, encode, write_pair
 from glue.keys.requests import signed
@@ -82,16 +83,21 @@ class Entrance:
             raise reply
         return reply
 
-    def headers(self, method: str, path: str, digest: str, pair: KeyPair | None = None) -> dict[str, str]:
-        return signed(pair or self.pair, "alice", method, path, digest, time.time())
+    def headers(
+        self, content: bytes = b"{}", what: str = "attempt", pair: KeyPair | None = None, method: str = "POST"
+    ) -> dict[str, str]:
+        """Return the headers of a request of alice."""
+        digest = hashlib.sha256(content).hexdigest()
+        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, time.time())
 
     def ask(
-        self, method: str, path: str, content: bytes = b"{}", headers: Mapping[str, str] | None = None
+        self, content: bytes = b"{}", headers: Mapping[str, str] | None = None, what: str = "attempt"
     ) -> tuple[int, Mapping[str, str], Any]:
-        """Send a request; return status, headers and body of the answer."""
+        """Send a request, of alice if no headers are given; return status, headers and body of the answer."""
+        headers = self.headers(content, what) if headers is None else headers
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
         try:
-            connection.request(method, path, content, dict(headers or {}))
+            connection.request("POST", PREFIX + what, content, dict(headers))
             response = connection.getresponse()
             return response.status, dict(response.headers), json.loads(response.read())
         finally:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import socket
 from collections.abc import Iterator
@@ -25,12 +24,6 @@ from glue.errors import ExperimentError
 from glue.keys.certificates import encode, write_pair
 from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
 from tests.system.runs import wait_until
-
-ATTEMPT = "/season/api/attempt"
-
-
-def digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +57,10 @@ def test_whoever_joins_shows_their_key(entrance: Entrance, tmp_path: Path) -> No
 
 def test_nobody_joins_with_the_key_of_another(entrance: Entrance) -> None:
     body = f'{{"name": "alice", "key": "{encode(new_pair().public)}"}}'.encode()
-    headers = entrance.headers("POST", "/season/api/join", digest(body))
-    status, _, answer = entrance.ask("POST", "/season/api/join", body, headers)
+    status, _, answer = entrance.ask(body, what="join")
     assert (status, "not signed with the key" in answer["error"]) == (403, True)
     body = b'{"name": "x", "key": "y"}'
-    status, _, answer = entrance.ask("POST", "/season/api/join", body, {"Glue-Digest": digest(body)})
+    status, _, answer = entrance.ask(body, what="join")
     assert (status, "not a public key" in answer["error"]) == (400, True)
     assert not entrance.asked
 
@@ -82,25 +74,24 @@ def test_an_entrant_is_who_has_signed(entrance: Entrance, tmp_path: Path) -> Non
 
 
 def test_strangers_and_posers_do_not_reach_the_server(entrance: Entrance) -> None:
-    body = digest(b"{}")
-    right = entrance.headers("POST", ATTEMPT, body)
+    right = entrance.headers()
     for headers in (
         {},
         {"Glue-Entrant": "é"},
         {**right, "Glue-Entrant": "bob"},
         {**right, "Glue-Time": "1"},
-        entrance.headers("POST", ATTEMPT, body, new_pair()),
-        entrance.headers("POST", "/season/api/withdraw", body),
+        entrance.headers(pair=new_pair()),
+        entrance.headers(what="withdraw"),
     ):
-        assert entrance.ask("POST", ATTEMPT, b"{}", headers)[0] == 403, headers
+        assert entrance.ask(headers=headers)[0] == 403, headers
     assert not entrance.asked
 
 
 def test_a_request_that_was_overheard_cannot_be_sent_again(entrance: Entrance) -> None:
     entrance.replies = [{"state": "waiting", "attempt": 1}]
-    headers = entrance.headers("POST", ATTEMPT, digest(b"{}"))
-    assert entrance.ask("POST", ATTEMPT, b"{}", headers)[0] == 200
-    status, _, answer = entrance.ask("POST", ATTEMPT, b"{}", headers)
+    headers = entrance.headers()
+    assert entrance.ask(headers=headers)[0] == 200
+    status, _, answer = entrance.ask(headers=headers)
     assert (status, "has come before" in answer["error"]) == (403, True)
     assert len(entrance.asked) == 1
 
@@ -117,20 +108,19 @@ def test_a_request_that_was_overheard_cannot_be_sent_again(entrance: Entrance) -
     ],
 )
 def test_a_body_is_a_small_json_object(entrance: Entrance, body: bytes, status: int) -> None:
-    assert entrance.ask("POST", ATTEMPT, body, entrance.headers("POST", ATTEMPT, digest(body)))[0] == status
+    assert entrance.ask(body)[0] == status
     assert not entrance.asked
 
 
 def test_nobody_asks_for_another_or_for_something_else(entrance: Entrance) -> None:
     body = b'{"do": "withdraw", "entrant": "bob", "attempt": 2}'
     entrance.replies = [{}]
-    assert entrance.ask("POST", ATTEMPT, body, entrance.headers("POST", ATTEMPT, digest(body)))[0] == 200
+    assert entrance.ask(body)[0] == 200
     assert entrance.asked == [Attempt("alice", 2)]
 
 
 def test_a_body_is_the_one_that_was_signed(entrance: Entrance) -> None:
-    headers = entrance.headers("POST", ATTEMPT, digest(b"{}"))
-    status, _, answer = entrance.ask("POST", ATTEMPT, b'{"attempt": 1}', headers)
+    status, _, answer = entrance.ask(b'{"attempt": 1}', entrance.headers())
     assert (status, "not the one that was signed" in answer["error"]) == (400, True)
 
 
@@ -146,8 +136,7 @@ def test_what_the_server_says_reaches_its_entrant(entrance: Entrance, tmp_path: 
 
 def test_without_a_server_one_is_asked_to_come_again(tmp_path: Path) -> None:
     with entrance_at(tmp_path / "run", server=False) as entrance:
-        headers = entrance.headers("POST", ATTEMPT, digest(b"{}"))
-        status, found, answer = entrance.ask("POST", ATTEMPT, b"{}", headers)
+        status, found, answer = entrance.ask()
     assert (status, found["retry-after"]) == (503, "10")
     assert "not running" in answer["error"]
 
@@ -191,10 +180,14 @@ def left(entrance: Entrance) -> list[Path]:
 
 def begin(entrance: Entrance, size: int, content: bytes, method: str, what: str) -> socket.socket:
     """Begin to send a request."""
-    path = f"/season/api/{what}"
-    headers = entrance.headers(method, path, digest(b"x" * size))
-    lines = [f"{method} {path} HTTP/1.1", "Host: here", f"Content-Length: {size}"]
-    lines += [f"{name}: {value}" for name, value in headers.items()]
+    headers = entrance.headers(b"x" * size, what, method=method) | {
+        "Host": "here",
+        "Content-Length": str(size),
+    }
+    lines = [
+        f"{method} /season/api/{what} HTTP/1.1",
+        *(f"{name}: {value}" for name, value in headers.items()),
+    ]
     connected = socket.create_connection(("127.0.0.1", entrance.port))
     connected.sendall("\r\n".join([*lines, "", ""]).encode() + content)
     return connected
