@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import fcntl
 import hashlib
 import io
 import ipaddress
@@ -46,6 +47,7 @@ from experiment_runner.store.layout import COMPETITION_FILE
 from glue.client.season import PREFIX
 from glue.console import one_line
 from glue.errors import GlueError
+from glue.files import open_regular
 from glue.keys.certificates import decode
 from glue.keys.requests import DIGEST, ENTRANT, Once, Unsigned, check
 
@@ -163,7 +165,8 @@ class _Entrance:
         self._of_entrant = Rate(2, 30, now)
         self._images = Rate(1 / 600, 5, now)
         self._uploading: set[str] = set()
-        shutil.rmtree(directory / _UPLOADS, ignore_errors=True)  # of a server that was killed
+        for left in (directory / _UPLOADS).glob("*.tar"):
+            _remove_unless_received(left)
 
     async def join(self, request: Request) -> _Answer:
         self._joins.take(address_of(request))
@@ -223,6 +226,7 @@ class _Entrance:
             if shutil.disk_usage(folder).free < _ROOM * size:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             with tempfile.NamedTemporaryFile(dir=folder, suffix=".tar") as file:
+                fcntl.flock(file, fcntl.LOCK_EX)
                 yield cast("BinaryIO", file)
         except OSError as error:
             why = f"the season's machine cannot keep the image: {error.strerror}; tell its organiser"
@@ -291,6 +295,13 @@ async def _received(request: Request, file: BinaryIO, most: int, seconds: float)
         raise Denied(f"the body has not come within {seconds:g} s", 408) from None
     if request.headers.get(DIGEST) != digest.hexdigest():
         raise Denied("the body is not the one that was signed: send it again")
+
+
+def _remove_unless_received(upload: Path) -> None:
+    """Remove a file that a page which was killed has left, not one that another page is receiving."""
+    with suppress(OSError), open_regular(upload) as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        upload.unlink()
 
 
 async def _loaded(path: str, most: int, repository: str) -> str:
