@@ -41,8 +41,8 @@ def compete() -> None:
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
 
 
-for command in (page, serve, *ACTS, *COMMANDS):
-    compete.add_command(command)
+for _command in (page, serve, *ACTS, *COMMANDS):
+    compete.add_command(_command)
 
 
 @compete.command()

@@ -47,7 +47,7 @@ class Spread:
     """
 
     def __init__(self, here: LocalExecutor, there: RayExecutor) -> None:
-        self.size = here.size
+        self.size: int = here.size
         self._here = here
         self._there = there
         self._away: set[str] = set()

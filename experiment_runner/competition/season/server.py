@@ -542,7 +542,7 @@ class Server(Matches):
         competition = replace(self._competition, entrants=(entrant,))
         gate = None if self._gate is None else gate_of(self._gate, int(start.value))
         ids = [str(spec.id) for spec in specs]
-        self.matches |= zip(ids, matches(competition, specs, self._directory, gate), strict=True)
+        self.matches.update(zip(ids, matches(competition, specs, self._directory, gate), strict=True))
         slot = _Slot(
             self._state.attempt(name, start.number),
             entrant,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -19,7 +19,7 @@ from experiment_runner.store.results import Results
 
 MODULE: Final = "experiment_runner.competition.season.worker"
 
-prepare = match.prepare
+prepare: Callable[[Sequence[str]], None] = match.prepare
 
 
 @dataclass(frozen=True, slots=True)

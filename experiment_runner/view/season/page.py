@@ -11,7 +11,7 @@ import time
 from collections.abc import Awaitable, Callable, Mapping
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
@@ -42,7 +42,7 @@ class Passing(Connection):
     It lasts for a minute, and gives way to newer ones like any that is not admitted: a browser asks again.
     """
 
-    head_seconds = 60.0
+    head_seconds: ClassVar[float] = 60.0
 
 
 class SeasonGuard(Guard):
