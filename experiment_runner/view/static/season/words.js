@@ -19,6 +19,6 @@ export const counts = (numbers) =>
   Object.entries(numbers).filter(([, number]) => number).map(([what, number]) => `${count(number)} ${what}`).join(", ") || "none";
 
 /** Return a drawing with its legend, or null without one. */
-export const figure = (found, label) => found && h("figure", { class: "card", role: "img", "aria-label": label },
-  h("figcaption", {}, label), ...["narrow", "wide"].map((size) => h("div", { class: size }, drawing(found[size]))),
+export const figure = (found, label) => found && h("figure", { class: "card" }, h("figcaption", {}, label),
+  ...["narrow", "wide"].map((size) => h("div", { class: size, role: "img", "aria-label": label }, drawing(found[size]))),
   h("ul", { class: "legend" }, ...found.legend.map(({ name, sample }) => h("li", {}, drawing(sample), " ", name))));
