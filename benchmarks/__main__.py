@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-from benchmarks.page import FILE, ORDER, beside_other_work, merged, section
+from benchmarks.page import FILE, ORDER, beside_other_work, draw, merged, section
 
 _PARTS = tuple(name for name in ORDER if name != "notes")
 _ELSEWHERE = ("gym", "soar")
@@ -26,10 +26,12 @@ def main(arguments: list[str]) -> None:
         sys.exit(f"no benchmark is called {', '.join(sorted(unknown))}: there are {', '.join(known)}")
     for name in names or [name for name in _PARTS if name not in _BY_NAME]:
         print(f"measuring {name} ...", file=sys.stderr, flush=True)
-        measured = section(name, *beside_other_work(importlib.import_module(f"benchmarks.{name}").run))
+        tables, others = beside_other_work(importlib.import_module(f"benchmarks.{name}").run)
+        measured = section(name, tables, others)
         if names:
             print(measured)
         if not names or _WRITE in arguments:
+            draw(tables)
             FILE.write_text(merged(FILE.read_text("utf-8"), {name: measured}), encoding="utf-8")
             print(f"written to {FILE}", file=sys.stderr)
 

@@ -29,6 +29,7 @@ _, _MARIO = SIZES
 _VECTOR_ENV = "Gymnasium's AsyncVectorEnv, one environment"
 _DM_ENV_RPC = "dm_env_rpc"
 _VERBS = {"episode": "RL_EPISODE", "step": "RL_STEP"}
+_INSIDE = "environment inside, agent outside, ipc"
 
 Measure = Callable[[], Rate]
 
@@ -43,6 +44,7 @@ def _three_programs() -> list[Table]:
     size = len(SIZES[_MARIO].body)
     measures: dict[str, AbstractContextManager[Measure]] = {}
     for verb, name in _VERBS.items():
+        measures[f"{_INSIDE}, {name}"] = _environment_inside(_MARIO, verb)
         if compiler and SERVER:
             measures[f"original RL-Glue, C programs, {name}"] = _original(original_server, verb)
         for transport in ("ipc", "tcp"):
@@ -70,7 +72,13 @@ def _ratios(results: dict[str, Rate]) -> Table:
         for name in ("ipc, RL_EPISODE", "tcp, RL_EPISODE", "ipc, RL_STEP")
     )
     two_round_trips = results["raw round trips, Unix socket"].per_second / 2
+    inside = results[f"{_INSIDE}, RL_EPISODE"]
     rows = [
+        (
+            "environment inside the experiment, agent outside: of ipc",
+            ratio(inside.per_second / ipc.per_second),
+            "",
+        ),
         ("ipc: of two raw round trips over a Unix socket", ratio(ipc.per_second / two_round_trips), "0.35"),
         ("ipc: CPU time of all processes for a step", f"{ipc.cpu:.0f} us", "at most 120 us"),
         ("tcp: of ipc", ratio(tcp.per_second / ipc.per_second), "0.75"),
@@ -78,7 +86,11 @@ def _ratios(results: dict[str, Rate]) -> Table:
     ]
     for verb in _VERBS.values():
         original = results.get(f"original RL-Glue, C programs, {verb}")
-        for name in (f"three Python processes, ipc, {verb}", f"C programs through the gateway, {verb}"):
+        for name in (
+            f"{_INSIDE}, {verb}",
+            f"three Python processes, ipc, {verb}",
+            f"C programs through the gateway, {verb}",
+        ):
             if original is not None and name in results:
                 share = ratio(results[name].per_second / original.per_second)
                 rows.append((f"{name}: of the original RL-Glue", share, "0.90"))
@@ -100,8 +112,8 @@ def _rates(results: dict[str, Rate]) -> Table:
         "Three programs",
         "Steps with an observation of Mario's size (23 ints, 44 doubles, 352 chars), agent and environment "
         "doing nothing. CPU is that of all processes. A step needs two round trips; raw ones are those of "
-        "two Python processes over a Unix socket with the same bytes. AsyncVectorEnv and dm_env_rpc have no "
-        "agent, and make one round trip a step.",
+        "two Python processes over a Unix socket with the same bytes. An environment inside the experiment's "
+        "process, AsyncVectorEnv and dm_env_rpc make one round trip a step; the latter two have no agent.",
         ("programs", "per second", "CPU, us"),
         rows,
     )
@@ -112,6 +124,7 @@ def _sizes() -> Table:
         measures: dict[tuple[str, str], Measure] = {}
         for size in SIZES:
             measures["in process", size] = stack.enter_context(_in_process(size))
+            measures[_INSIDE, size] = stack.enter_context(_environment_inside(size, "episode"))
             measures["three processes, ipc", size] = stack.enter_context(_three(size, "ipc", "episode"))
         results = rates(list(measures.values()))
     return Table(
@@ -158,6 +171,16 @@ def _three(size: str, transport: str, verb: str) -> Iterator[Measure]:
         url = hub.endpoints[0]
         pids = [stack.enter_context(serving(role, size, url)) for role in ("environment", "agent")]
         yield _measure(stack.enter_context(connect_over(InsideTransport(hub), "0")), verb, pids)
+
+
+@contextmanager
+def _environment_inside(size: str, verb: str) -> Iterator[Measure]:
+    """Yield a measure like that of `_three`, over ipc, whose environment is an object of this process."""
+    with ExitStack() as stack:
+        hub = stack.enter_context(listening("ipc"))
+        agent = stack.enter_context(serving("agent", size, hub.endpoints[0]))
+        transport = InsideTransport(hub, {Role.ENVIRONMENT: Walk(SIZES[size])}, "0")
+        yield _measure(stack.enter_context(connect_over(transport, "0")), verb, [agent])
 
 
 @contextmanager

@@ -15,6 +15,21 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture below a table of docs/performance.md.
+
+    Args:
+        file: its name in docs/images.
+        about: what it shows, for those who cannot see it.
+        draw: draws it into a file.
+    """
+
+    file: str
+    about: str
+    draw: Callable[[Path], None]
+
+
+@dataclass(frozen=True, slots=True)
 class Table:
     """A table of docs/performance.md.
 
@@ -23,12 +38,14 @@ class Table:
         about: a sentence or two above the table.
         columns: heads of the columns.
         rows: cells, as texts.
+        picture: drawn from the same measurements.
     """
 
     title: str
     about: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
+    picture: Picture | None = None
 
     def text(self, source: str) -> str:
         """Return the table in Markdown; `source` says how it was measured."""
@@ -36,6 +53,8 @@ class Table:
         lines.append("| " + " | ".join(self.columns) + " |")
         lines.append("| --- |" + " ---: |" * (len(self.columns) - 1))
         lines += ["| " + " | ".join(row) + " |" for row in self.rows]
+        if self.picture is not None:
+            lines += ["", f"![{self.picture.about}](images/{self.picture.file})"]
         return "\n".join(lines) + "\n"
 
 

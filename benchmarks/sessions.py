@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
 from benchmarks.hub import Measure, listening
-from benchmarks.measure import Table, count, rate, rates, ratio
+from benchmarks.measure import Picture, Rate, Table, count, rate, rates, ratio
 from benchmarks.players import SIZES, serving
 from benchmarks.previous import CHECKOUT, previous_sessions
 from glue.client.experiment import connect
@@ -57,8 +58,32 @@ def run() -> list[Table]:
             f"1,024 is 1.00 of {_COMPARED}.",
             ("sessions", "steps per second in all", f"of {_COMPARED}", "CPU, us", "memory a session"),
             rows,
+            Picture(
+                "sessions.png",
+                "CPU time of a step, and steps per second in all, for one to 1,024 sessions",
+                partial(_draw, dict(zip(_SESSIONS, results, strict=True))),
+            ),
         )
     ]
+
+
+def _draw(results: Mapping[int, Rate], path: Path) -> None:
+    """Draw how the cost of a step falls, and the number of steps grows, with the number of sessions."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 3), dpi=150, layout="constrained")
+    cost, speed = figure.subplots(1, 2)
+    cost.plot(list(results), [result.cpu for result in results.values()], "o-", color="#0072B2")
+    cost.set_ylabel("CPU time of a step, us")
+    speed.plot(list(results), [result.per_second for result in results.values()], "o-", color="#D55E00")
+    speed.set_ylabel("steps per second in all")
+    for axes in (cost, speed):
+        axes.set_xscale("log", base=2)
+        axes.set_xticks(list(results), [f"{number:,}" for number in results])
+        axes.set_xlabel("sessions")
+        axes.set_ylim(bottom=0)
+        axes.grid(alpha=0.3)
+    figure.savefig(path)
 
 
 def _resident() -> int:
