@@ -89,8 +89,17 @@ async function answer(response) {
   return body;
 }
 
-/** Parse a drawing from the server, which holds no text of a run; return its element. */
-export const drawing = (text) => document.importNode(new DOMParser().parseFromString(text, "image/svg+xml").documentElement, true);
+/** Parse a drawing from the server, which holds no text of a run; return its element, an image with a label if one is given. */
+export function drawing(text, label) {
+  const element = document.importNode(new DOMParser().parseFromString(text, "image/svg+xml").documentElement, true);
+  if (label) element.setAttribute("role", "img");
+  if (label) element.setAttribute("aria-label", label);
+  return element;
+}
+
+/** Return the legend of drawings: a sample of each curve, and its name. */
+export const legend = (entries) =>
+  h("ul", { class: "legend" }, ...entries.map(({ name, sample }) => h("li", {}, drawing(sample), " ", name)));
 
 /** Return a paragraph that stands where something is being loaded. */
 export const loading = () => h("p", { class: "quiet", role: "status" }, "Loading …");

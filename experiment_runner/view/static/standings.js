@@ -1,6 +1,6 @@
 // The live standings of a competition, also enlarged for a lecture hall.
 
-import { count, drawing, failure, get, h, loading, score, setText, table } from "./dom.js";
+import { count, drawing, failure, get, h, legend, loading, score, setText, table } from "./dom.js";
 import { projector } from "./projector.js";
 import { listen } from "./stream.js";
 
@@ -62,9 +62,8 @@ function draw(board) {
   if (missing.length) parts.push(table("Without a place", ["entrant", "why"], missing.map((one) => [one.name, one.missing])));
   const forfeits = board.entrants.flatMap((one) => one.forfeits.map((lost) => [one.name, lost.task, `${lost.trial}`, lost.reason]));
   if (forfeits.length) parts.push(table("Forfeits", ["entrant", "task", "trial", "reason"], forfeits));
-  parts.push(h("div", { class: "figures" }, ...board.figures.map(({ task, svg, legend }) =>
-    h("figure", { class: "card", role: "img", "aria-label": `Learning curves of ${task}` }, h("figcaption", {}, task), drawing(svg),
-      h("ul", { class: "legend" }, ...legend.map(({ name, sample }) => h("li", {}, drawing(sample), " ", name)))))));
+  parts.push(h("div", { class: "figures" }, ...board.figures.map((one) => h("figure", { class: "card" },
+    h("figcaption", {}, one.task), drawing(one.svg, `Learning curves of ${one.task}`), legend(one.legend)))));
   parts.push(h("dl", { class: "terms" }, ...board.legend.flatMap((line) => {
     const [term, ...rest] = line.split(/\s+/);
     return [h("dt", {}, term), h("dd", {}, rest.join(" "))];

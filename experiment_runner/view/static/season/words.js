@@ -1,6 +1,6 @@
 // Words and numbers that the views of a season share.
 
-import { count, drawing, h, score } from "../dom.js";
+import { count, drawing, h, legend, score } from "../dom.js";
 
 const TIME = { year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", timeZoneName: "short" };
 
@@ -20,5 +20,4 @@ export const counts = (numbers) =>
 
 /** Return a drawing with its legend, or null without one. */
 export const figure = (found, label) => found && h("figure", { class: "card" }, h("figcaption", {}, label),
-  ...["narrow", "wide"].map((size) => h("div", { class: size, role: "img", "aria-label": label }, drawing(found[size]))),
-  h("ul", { class: "legend" }, ...found.legend.map(({ name, sample }) => h("li", {}, drawing(sample), " ", name))));
+  ...["narrow", "wide"].map((size) => h("div", { class: size }, drawing(found[size], label))), legend(found.legend));
