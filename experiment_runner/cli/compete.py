@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 from contextlib import ExitStack
-from datetime import UTC, datetime
 from pathlib import Path
 
 import click
@@ -199,6 +198,7 @@ def board(directory: Path, form: str, season: bool, reveal: bool, signed_by: str
     from experiment_runner.competition.board.forms import as_csv, as_json, as_text
     from experiment_runner.competition.board.standings import standings
     from experiment_runner.competition.course import course_of
+    from experiment_runner.competition.records.journal import utc_now
     from experiment_runner.competition.records.seal import check_seal, check_signature
     from experiment_runner.competition.season.board import ORGANISER, season_board
     from experiment_runner.competition.season.forms import as_text as season_text
@@ -215,7 +215,7 @@ def board(directory: Path, form: str, season: bool, reveal: bool, signed_by: str
             if form == "html":
                 raise ConfigError(f"a season has a page: glue-compete page {directory} --publish FOLDER")
             check_seal(results)
-            shown = season_board(results, course, datetime.now(UTC), ORGANISER)
+            shown = season_board(results, course, utc_now(), ORGANISER)
             forms = {
                 "text": lambda: season_text(shown, width),
                 "csv": lambda: places_of(shown.competition, scores_of(shown)),

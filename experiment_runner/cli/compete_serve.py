@@ -253,15 +253,16 @@ def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]
     """Write the acts of a wish to the journal of a run that nobody serves."""
     from experiment_runner.competition.board.forms import line_of
     from experiment_runner.competition.course import Course, act_on
-    from experiment_runner.competition.records.journal import Act
-    from experiment_runner.competition.season.acts import acts_for
+    from experiment_runner.competition.records.journal import Act, utc_now
+    from experiment_runner.competition.season.acts import acts_for, competition_given
     from experiment_runner.competition.season.control import Organise
-    from experiment_runner.competition.season.service import utc_now
     from experiment_runner.competition.season.state import SeasonState
     from experiment_runner.store.results import Results
 
     def acts(course: Course, results: Results) -> list[Act]:
         state = None if course.competition.season is None else SeasonState.of(course)
-        return acts_for(Organise(kind, **wish), course, state, results.outcomes(), utc_now())
+        return acts_for(wanted, competition_given(wanted), course, state, results.outcomes(), utc_now())
+
+    wanted = Organise(kind, **wish)
 
     return [line_of(one) for one in act_on(directory, acts)]

@@ -53,10 +53,11 @@ def page(directory: Path, address: str, proxy: str, insecure: bool, publish: Pat
     """
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     check_view("page")
+    from experiment_runner.competition.records.journal import utc_now
     from experiment_runner.competition.season.entrance import routes
     from experiment_runner.view.season.page import Passing, season_page
     from experiment_runner.view.season.publish import Publisher
-    from experiment_runner.view.season.views import Views, organisers_token, utc_now
+    from experiment_runner.view.season.views import Views, organisers_token
     from experiment_runner.view.server import serve
 
     match = _ADDRESS.fullmatch(address)

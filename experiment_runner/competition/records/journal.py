@@ -116,6 +116,11 @@ _ALWAYS: Final = ("time", "act", "subject", "reason")
 _TIME: Final = "%Y-%m-%dT%H:%M:%SZ"
 
 
+def utc_now() -> datetime:
+    """Return the time."""
+    return datetime.now(UTC)
+
+
 def act(kind: str, subject: str, reason: str, *, now: datetime | None = None, **more: Any) -> Act:
     """Return an act of this moment.
 
@@ -126,7 +131,7 @@ def act(kind: str, subject: str, reason: str, *, now: datetime | None = None, **
         now: the time; None reads the clock.
         more: further fields.
     """
-    return Act(time_text(now or datetime.now(UTC)), kind, subject, reason, **more)
+    return Act(time_text(now or utc_now()), kind, subject, reason, **more)
 
 
 def time_text(time: datetime) -> str:

@@ -12,17 +12,23 @@ from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act
 from experiment_runner.competition.season.control import Organise
 from experiment_runner.competition.season.state import SeasonState
-from experiment_runner.competition.settings import load_competition
+from experiment_runner.competition.settings import Competition, load_competition
 from glue.errors import ExperimentError
 
 
 def acts_for(
-    wanted: Organise, course: Course, state: SeasonState | None, over: Collection[str], now: datetime
+    wanted: Organise,
+    given: Competition | None,
+    course: Course,
+    state: SeasonState | None,
+    over: Collection[str],
+    now: datetime,
 ) -> list[Act]:
     """Return the acts of the journal that carry out an organiser's wish.
 
     Args:
         wanted: the wish.
+        given: the competition of its file, see `competition_given`.
         course: of the competition, so far.
         state: of the season; None if the competition has none.
         over: ids of the trials that are over.
@@ -38,7 +44,8 @@ def acts_for(
     name = wanted.subject
     match wanted.act:
         case journal.ADD:
-            return _added(wanted, course, now)
+            assert given is not None
+            return _added(wanted, given, course, now)
         case journal.RERUN if "/" in name:
             return course.repetitions([name], over, wanted.why)
         case journal.EXCLUDE:
@@ -79,13 +86,21 @@ def acts_for(
     raise ExperimentError(f"there is no act {wanted.act!r:.80}")
 
 
-def _added(wanted: Organise, course: Course, now: datetime) -> list[Act]:
-    competition = load_competition(Path(wanted.file))
+def competition_given(wanted: Organise) -> Competition | None:
+    """Return the competition of the file of a wish to add its entrants; None for another wish.
+
+    Raises:
+        ConfigError: the file cannot be read or describes no competition.
+    """
+    return load_competition(Path(wanted.file)) if wanted.act == journal.ADD else None
+
+
+def _added(wanted: Organise, given: Competition, course: Course, now: datetime) -> list[Act]:
     known = course.entrants
-    new = [entrant for entrant in competition.entrants if entrant.name not in known]
+    new = [entrant for entrant in given.entrants if entrant.name not in known]
     if not new:
         raise ExperimentError(f"{wanted.file} has no entrant that does not take part already")
-    return admissions(competition, new, journal.ADD, wanted.why, now)
+    return admissions(given, new, journal.ADD, wanted.why, now)
 
 
 def _ended(state: SeasonState | None, name: str, why: str, now: datetime) -> list[Act]:

@@ -7,12 +7,12 @@ import io
 import json
 import math
 from collections.abc import Callable, Iterable, Sequence
-from datetime import UTC, datetime
 from typing import Final
 
 from experiment_runner.competition.board.forms import line_of, number, plain
 from experiment_runner.competition.board.standings import Standings, standings
 from experiment_runner.competition.course import Course
+from experiment_runner.competition.records.journal import utc_now
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
 from experiment_runner.report.tables import format_table
@@ -124,7 +124,7 @@ def grades_of(results: Results, course: Course) -> Grades:
     if course.competition.testing and not course.in_season:
         return [(one.name, one.total) for one in standings(results, course).entrants]
     check_seal(results)
-    return scores_of(season_board(results, course, datetime.now(UTC), ORGANISER))
+    return scores_of(season_board(results, course, utc_now(), ORGANISER))
 
 
 def scores_of(board: SeasonBoard) -> Grades:

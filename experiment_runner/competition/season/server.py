@@ -21,7 +21,6 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from pathlib import Path
 from typing import Any, Final
 
 from experiment_runner.competition.board.forms import line_of
@@ -32,7 +31,7 @@ from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act, act
 from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
 from experiment_runner.competition.season import control, schedule
-from experiment_runner.competition.season.acts import acts_for
+from experiment_runner.competition.season.acts import acts_for, competition_given
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
@@ -44,7 +43,6 @@ from experiment_runner.competition.settings import (
     Entrant,
     Gate,
     is_name,
-    load_competition,
 )
 from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.trials import attempt_trials, levels
@@ -265,11 +263,11 @@ class Server(Matches):
 
     def _organise(self, wanted: control.Organise) -> Reply:
         outcomes = self._store.outcomes() if "/" in wanted.subject else ()
-        acts = acts_for(wanted, self._course, self._state, outcomes, self._now())
-        for one in acts:
-            if one.act == journal.ADD:
-                found = load_competition(Path(wanted.file)).entrants
-                self._named |= {entrant.name: entrant for entrant in found if entrant.name == one.subject}
+        given = competition_given(wanted)
+        acts = acts_for(wanted, given, self._course, self._state, outcomes, self._now())
+        if given is not None:
+            added = {one.subject for one in acts}
+            self._named |= {entrant.name: entrant for entrant in given.entrants if entrant.name in added}
         self._record(*acts)
         return {"acts": [line_of(one) for one in acts]}
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from datetime import UTC, datetime
+from datetime import datetime
 
+from experiment_runner.competition.records.journal import utc_now
 from experiment_runner.competition.season.control import Door
 from experiment_runner.competition.season.server import Server, gate_of
 from experiment_runner.competition.settings import Competition, Gate
@@ -16,11 +17,6 @@ from experiment_runner.store.store import Store
 from glue.errors import ConfigError
 from glue.keys.allowed import HUB
 from glue.keys.certificates import SECRET, read_pair
-
-
-def utc_now() -> datetime:
-    """Return the time."""
-    return datetime.now(UTC)
 
 
 def check_gate(competition: Competition, gate: Gate | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Hashable
-from datetime import UTC, datetime
+from datetime import datetime
 from hashlib import sha256
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -34,11 +34,6 @@ _REST: Final = 5
 
 _SECONDS: Final = 60
 """A board may change with time alone, as when the season opens; it is computed again at least this often."""
-
-
-def utc_now() -> datetime:
-    """Return the time."""
-    return datetime.now(UTC)
 
 
 class _Season(NamedTuple):
