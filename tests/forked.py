@@ -23,6 +23,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
 
+from experiment_runner.plan import provenance
 from experiment_runner.processes import children, warm
 
 BIN: Final = Path(sys.executable).parent
@@ -56,6 +57,9 @@ SERVER.set_forkserver_preload(
         "tests.scripted.process",
     ]
 )
+
+
+provenance.about()  # packages and commit are read once, for all commands
 
 
 class Forked:
