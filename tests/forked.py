@@ -23,7 +23,8 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.plan import provenance
+from experiment_runner.plan.provenance import about
+from experiment_runner.plan.user_files import user_files
 from experiment_runner.processes import children, warm
 
 BIN: Final = Path(sys.executable).parent
@@ -59,7 +60,8 @@ SERVER.set_forkserver_preload(
 )
 
 
-provenance.about()  # packages and commit are read once, for all commands
+about()  # what is installed is found out once, for all commands
+user_files([])
 
 
 class Forked:
