@@ -285,7 +285,7 @@ class Sessions:
             config.timeout,
             config.max_body,
         )
-        paced = config.pace and message.scalars[1] == Role.EXPERIMENT
+        paced = config.pace and message.scalars[1] != Role.AGENT
         holds = sorted(_offered(message) & (BESIDE | {PACE} if paced else BESIDE))
         if holds:
             welcome += (tuple(holds),)
