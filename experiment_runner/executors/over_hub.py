@@ -123,9 +123,10 @@ def over_hub(
             )
         else:
             hub, url, show_missing = _start_hub(stack, placement, expected, named.keys(), spec.pace, say)
-            steps = partial(hub.sessions.num_steps, session)
             transport = InsideTransport(hub, inside, session)
-            glue = connect_over(transport, session, on_notice=notice, num_steps=steps)
+            glue = connect_over(
+                transport, session, on_notice=notice, num_steps=partial(hub.sessions.num_steps, session)
+            )
         stack.enter_context(glue)
         if options.key is None:  # observers would need a key
             send(AtHub(url, session))

@@ -62,8 +62,8 @@ class ServedPlayer:
         confirmed = carried(message)
         if PACE in confirmed:
             raise ConfigError(
-                "this hub has a rate or a delay, so an illegal action need not be the agent's choice: "
-                "leave out --check-actions"
+                f"{self.name} cannot check actions here: this hub has a rate or a delay, and what is illegal "
+                "by now need not be the agent's choice"
             )
         self._carried = self._beside if self._beside <= confirmed else self._beside & confirmed
 

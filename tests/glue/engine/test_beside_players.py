@@ -215,7 +215,7 @@ def test_actions_are_checked_only_at_a_hub_that_waits() -> None:
     for pace in (Pace(rate=10.0), Pace(delay=1)):
         with (
             hub_with(pace=pace) as url,
-            pytest.raises(ConfigError, match=r"a rate or a delay, .* --check-actions"),
+            pytest.raises(ConfigError, match=r"Showing cannot check actions here: .* a rate"),
         ):
             glue.serve_environment(CheckedActions(Showing()), url)
     with over_the_hub(Seeing(masks=False), CheckedActions(Showing())) as connected:
