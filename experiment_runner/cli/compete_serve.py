@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -148,9 +149,12 @@ def _log_json(line: str) -> None:
 def add(directory: Path, file: Path, why: str) -> None:
     """Add the entrants of FILE that the run in DIR does not have yet.
 
-    In a season they play at once; in a run, when `run` is started again.
+    They play at once, or when the run is started again.
     """
-    organise(directory, "add", why=why, file=str(file.absolute()))
+    from experiment_runner.competition.course import course_of
+    from experiment_runner.competition.season.acts import addition
+
+    organise(directory, "add", why=why, **addition(course_of(directory), file, secrets.token_bytes()))
 
 
 @click.command()
@@ -170,13 +174,12 @@ def exclude(directory: Path, entrants: tuple[str, ...], why: str) -> None:
 def rerun(directory: Path, which: tuple[str, ...], why: str) -> None:
     """Have something played again, on the same levels; it counts instead of the old, which is kept.
 
-    In a season, an attempt of an entrant, by default its last; in a run, trials such as alice/easy/0, which
-    `run` then plays.
+    In a season, an attempt of an entrant, by default its last; in a run, trials such as alice/easy/0, or all
+    of an entrant that are over.
     """
     if "/" in which[0]:
         for trial in dict.fromkeys(which):
             organise(directory, "rerun", subject=trial, why=why)
-        say(f"now: glue-compete run FILE --out {directory}")
         return
     name, *number = which
     if len(number) > 1 or not all(text.isdecimal() and len(text) < 10 for text in number):
@@ -220,11 +223,11 @@ ACTS: Final = (
     ),
     _act(
         "pause",
-        "Start no more attempts of an entrant of the season in DIR, or of anybody; what plays goes on.",
+        "Start nothing more of an entrant of the season or run in DIR, or of anybody; what plays goes on.",
         _ANYBODY,
     ),
     _act("readmit", "Put an entrant that was excluded from the run in DIR back on the board.", _ENTRANT),
-    _act("resume", "End a pause of an entrant of the season in DIR, or of the whole season.", _ANYBODY),
+    _act("resume", "End a pause of an entrant of the season or run in DIR, or of everybody.", _ANYBODY),
     _act("thaw", "Let the public board of the season in DIR show everything again."),
 )
 
@@ -250,7 +253,7 @@ def organise(directory: Path, kind: str, **wish: Any) -> None:
 
 
 def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]:
-    """Write the acts of a wish to the journal of a run that nobody serves."""
+    """Write the acts of a wish to the journal of a run that nobody holds."""
     from experiment_runner.competition.board.forms import line_of
     from experiment_runner.competition.course import Course, act_on
     from experiment_runner.competition.records.journal import Act, utc_now
@@ -260,9 +263,9 @@ def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]
     from experiment_runner.store.results import Results
 
     def acts(course: Course, results: Results) -> list[Act]:
+        competition_given(wanted, course)
         state = None if course.competition.season is None else SeasonState.of(course)
-        return acts_for(wanted, competition_given(wanted), course, state, results.outcomes(), utc_now())
+        return acts_for(wanted, course, state, results.outcomes(), utc_now())
 
     wanted = Organise(kind, **wish)
-
     return [line_of(one) for one in act_on(directory, acts)]

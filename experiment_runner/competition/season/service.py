@@ -7,14 +7,18 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import datetime
 
+from experiment_runner.competition.board.forms import line_of
+from experiment_runner.competition.organiser import Held
 from experiment_runner.competition.records.journal import utc_now
-from experiment_runner.competition.season.control import Door
+from experiment_runner.competition.season.acts import acts_for, competition_given
+from experiment_runner.competition.season.control import Door, Organise, Reply, Request
 from experiment_runner.competition.season.server import Server, gate_of
+from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import Competition, Gate
 from experiment_runner.executors.dispatcher import Executor
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.store.store import Store
-from glue.errors import ConfigError
+from glue.errors import ConfigError, ExperimentError
 from glue.keys.allowed import HUB
 from glue.keys.certificates import SECRET, read_pair
 
@@ -36,6 +40,24 @@ def check_gate(competition: Competition, gate: Gate | None) -> None:
             f"glue-keys new {HUB}), and an address to listen on",
             settings=("keys", "bind"),
         )
+
+
+def answering(door: Door) -> Callable[[Held, float], None]:
+    """Return what carries out the acts of the organiser of a competition that is held at once."""
+
+    def visit(held: Held, seconds: float) -> None:
+        def answer(request: Request) -> Reply:
+            if not isinstance(request, Organise):
+                raise ExperimentError("the season is over, and its final is played")
+            course, given = held.course, competition_given(request, held.course)
+            state = None if course.season is None else SeasonState.of(course)
+            acts = acts_for(request, course, state, held.over, utc_now())
+            held.record(acts, given)
+            return {"acts": [line_of(one) for one in acts]}
+
+        door.serve(answer, seconds)
+
+    return visit
 
 
 def serve(

@@ -11,6 +11,7 @@ import pytest
 from experiment_runner.cli.compete_serve import organise
 from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.seal import broken
+from experiment_runner.competition.season.acts import addition
 from experiment_runner.competition.season.control import (
     Attempt,
     Enrol,
@@ -379,14 +380,29 @@ def test_entrants_of_the_file_play_by_themselves(tmp_path: Path) -> None:
     walk = '[entrants.walk]\ncommand = ["true"]\n'
     made = Season(tmp_path)
     with made.stack:
-        (tmp_path / "late.toml").write_text(made.text + walk)
-        made.act("add", file=str(tmp_path / "late.toml"))
+        late = tmp_path / "late.toml"
+        late.write_text(made.text + walk)
+        wish = addition(made.course, late, b"chance")
+        made.act("add", **wish)
         made.turns()
         assert made.states("walk") == {1: "over"}
+        assert made.state.entrants["walk"].act.alias  # it was not to have the only own name on the board
+        with pytest.raises(ExperimentError, match="has changed meanwhile"):
+            made.act("add", **wish)
         made.text += walk
         made.restart()
         with pytest.raises(ExperimentError, match="has no entrant that does not take part already"):
-            made.act("add", file=str(tmp_path / "late.toml"))
+            addition(made.course, late, b"chance")
+
+
+def test_entrants_of_the_file_have_pseudonyms_from_the_start(tmp_path: Path) -> None:
+    made = Season(
+        tmp_path, FILE + '[entrants.walk]\ncommand = ["true"]\n[entrants.stand]\ncommand = ["true"]\n'
+    )
+    with made.stack:
+        aliases = {name: one.act.alias for name, one in made.state.entrants.items()}
+    assert aliases.keys() == {"walk", "stand"}
+    assert len({*aliases.keys(), *filter(None, aliases.values())}) == 4
 
 
 def test_what_may_be_changed_in_the_file_takes_effect(season: Season) -> None:
