@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
-import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
 from experiment_runner.cli.options import DIRECTORY, FILE, check_address, naming_out
+from experiment_runner.cli.season_options import page_options
 from experiment_runner.plan.limits import Backend
 from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError
@@ -61,22 +59,7 @@ _WHY: Final = click.option(
 )
 @click.option("--keys", type=DIRECTORY, metavar="DIR", help="Directory with the hub's pair; see glue-keys.")
 @click.option("--page", metavar="HOST:PORT", help="Address of the page of the season; none without it.")
-@click.option(
-    "--proxy", default="", metavar="URL", help="Address at which browsers find the page behind a proxy."
-)
-@click.option(
-    "--insecure", is_flag=True, help="Allow a --page that other machines can reach without encryption."
-)
-@click.option(
-    "--publish", type=DIRECTORY, metavar="DIR", help="Folder into which the public page is written."
-)
-@click.option(
-    "--log-format",
-    type=click.Choice(["text", "json"]),
-    default="text",
-    show_default=True,
-    help="Lines of the log: for people, or a JSON object each with time and message.",
-)
+@page_options
 @click.option(
     "--engine",
     type=click.Choice([Backend.LOCAL.value, Backend.RAY.value]),
@@ -91,12 +74,9 @@ def serve(
     bind: str,
     keys: Path | None,
     page: str | None,
-    proxy: str,
-    insecure: bool,
-    publish: Path | None,
-    log_format: str,
     engine: str,
     address: str | None,
+    **of_page: Any,
 ) -> None:
     """Hold the season of FILE, for weeks: let entrants play attempts, and verify each at its end.
 
@@ -111,35 +91,27 @@ def serve(
     from experiment_runner.executors.opening import kept_if_begun
     from experiment_runner.view.launch import check_view, season_viewed
 
-    log = say if log_format == "text" else _log_json
     check_address(Backend(engine), address)
     if page is not None:
         check_view("page")
     competition = load_competition(file)
     if competition.season is None:
         raise ConfigError(f"{file} has no table [season]: glue-compete run holds its competition")
-    secret = read_secret(competition, os.environ, log)
-    code = read_code(competition.season, os.environ, log)
+    secret = read_secret(competition, os.environ, say)
+    code = read_code(competition.season, os.environ, say)
     gate = None if keys is None else Gate(bind, keys.absolute())
     check_gate(competition, gate)
 
-    with kept_if_begun(out, lambda: log(KEPT)), ExitStack() as stack:
+    with kept_if_begun(out, lambda: say(KEPT)), ExitStack() as stack:
         with naming_out():
             text = read_text(file, follow=True)
             store = stack.enter_context(open_competition(out, text, competition, secret))
         executor = executor_of(competition, Backend(engine), address)
         if page is not None:
-            stack.enter_context(
-                season_viewed(out, page=page, proxy=proxy, insecure=insecure, publish=publish, say=log)
-            )
-        log(f"the season is served from {out}")
-        hold(store, competition, secret, code, gate, executor, log)
-        log(f"the season is closed; now: glue-compete run {file} --out {out}")
-
-
-def _log_json(line: str) -> None:
-    now = datetime.now(UTC).isoformat(timespec="milliseconds")
-    print(json.dumps({"time": now, "message": line}), file=sys.stderr, flush=True)
+            stack.enter_context(season_viewed(out, {"page": page, **of_page}, say))
+        say(f"the season is served from {out}")
+        hold(store, competition, secret, code, gate, executor, say)
+        say(f"the season is closed; now: glue-compete run {file} --out {out}")
 
 
 @click.command()
