@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ from experiment_runner.cli.options import DIRECTORY, FILE, check_address, naming
 from experiment_runner.cli.season_options import page_options
 from experiment_runner.plan.limits import Backend
 from glue.console import one_line, say
-from glue.errors import ConfigError, ExperimentError
+from glue.errors import ConfigError, ExperimentError, GlueError
 from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
 
@@ -84,6 +84,7 @@ def serve(
     """
     from experiment_runner.competition.organiser import open_competition
     from experiment_runner.competition.season.executors import executor_of
+    from experiment_runner.competition.season.images import remove_others
     from experiment_runner.competition.season.service import check_gate
     from experiment_runner.competition.season.service import serve as hold
     from experiment_runner.competition.settings import Gate, load_competition
@@ -111,6 +112,9 @@ def serve(
             stack.enter_context(season_viewed(out, {"page": page, **of_page}, say))
         say(f"the season is served from {out}")
         hold(store, competition, secret, code, gate, executor, say)
+        if competition.season.images:
+            with suppress(GlueError, ImportError):  # without an engine there are none
+                remove_others(out)
         say(f"the season is closed; now: glue-compete run {file} --out {out}")
 
 

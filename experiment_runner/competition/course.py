@@ -100,6 +100,14 @@ class Course:
         return found
 
     @property
+    def images(self) -> set[str]:
+        """The ids with which somebody may still play: those of the entrants and, while the season is not
+        closed, all that have played, as any attempt can be run again.
+        """
+        played = [one for one in self.acts if one.act == journal.START] if self.in_season else []
+        return {one.id for one in (*self.entrants.values(), *played)}
+
+    @property
     def reruns(self) -> Mapping[TrialId, TrialId]:
         """The trial that was repeated, by the id of each repetition, oldest first."""
         return {

@@ -50,6 +50,7 @@ from experiment_runner.store.records import TrialEnd
 from experiment_runner.store.store import Store
 from glue.closing import Closing
 from glue.errors import ConfigError, ExperimentError
+from glue.hub.io.listener import reserve
 
 _FOR_ITS_OWNER: Final = 0o700
 _IDLE_SECONDS: Final = 0.5
@@ -210,7 +211,11 @@ def hold(
         StorageError: the run cannot be written to.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
-    with Held(store, competition, secret, say, gate) as held, Interrupts() as interrupts:
+    with ExitStack() as stack:
+        if gate is not None:
+            stack.enter_context(reserve(gate.bind))
+        held = stack.enter_context(Held(store, competition, secret, say, gate))
+        interrupts = stack.enter_context(Interrupts())
         executor = LocalExecutor(workers, MODULE, REPORTS, warm=[task.env for task in competition.tasks])
         dispatcher = Dispatcher(executor, held, interrupts)
         held.begin(dispatcher)

@@ -493,12 +493,21 @@ class Server(Matches):
 
     def _begin(self, one: Attempt) -> None:
         """Let an attempt play, if there is a slot for it."""
-        slot, plays = self._free_slot(), self._state.entrants[one.entrant].act
+        slot = self._free_slot()
         if slot is not None:
+            plays = self._plays(one)
             more = {"player": plays.player, "id": plays.id, "value": str(slot)}
             start = act(journal.START, one.entrant, "", now=self._now(), number=one.number, **more)
             self._record(start)
             self._take_slot(start, {}, {}, resumed=False)
+
+    def _plays(self, one: Attempt) -> Act:
+        """Return an act with the player of an attempt: an image is run again as it was."""
+        present = self._state.entrants[one.entrant].act
+        for played in reversed(self._acts if one.instead else ()):
+            if (played.act, played.subject, played.number) == (journal.START, one.entrant, one.instead):
+                return played if IMAGE_ID.fullmatch(played.id) else present
+        return present
 
     def _free_slot(self) -> int | None:
         """Return a slot that is free, and does not rest since an attempt failed there; None without one."""
@@ -559,9 +568,14 @@ class Server(Matches):
         self.dispatcher.add(trial_id)
 
     def _note_forfeit(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
-        if outcome.reason is not None and not slot.forfeit:
+        if outcome.reason is None:
+            return
+        if not slot.forfeit:
             _, task, number = TrialId(trial_id).parts
             slot.forfeit = f"{task}, trial {number % self._competition.trials}: {outcome.reason}"
+        if slot.entrant.key is not None and outcome.reason.startswith(NOT_CONNECTED):
+            for left in slot.left:  # nobody waits for it in each of them again
+                self.matches[left] = replace(self.matches[left], absent=outcome.reason)
 
     def _end(self, slot: _Slot) -> None:
         """Record that an attempt is over, and pause an entrant that fails again and again."""
@@ -632,7 +646,7 @@ class Server(Matches):
                 self._fail(slot, f"{trial_id} could not be verified: {verdict.problem}")
             else:
                 self._go_on(slot)
-        elif slot.resumed and NOT_CONNECTED in self._forfeits.get(trial_id, ""):
+        elif slot.resumed and self._forfeits.get(trial_id, "").startswith(NOT_CONNECTED):
             super().end(trial_id, "the server was restarted, and its program did not come back")
             self._fail(slot, "the server was restarted, and its program did not come back")
         else:

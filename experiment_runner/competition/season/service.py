@@ -19,6 +19,7 @@ from experiment_runner.executors.dispatcher import Executor
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError
+from glue.hub.io.listener import reserve
 from glue.keys.allowed import HUB
 from glue.keys.certificates import SECRET, read_pair
 
@@ -72,14 +73,19 @@ def serve(
     now: Callable[[], datetime] = utc_now,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Serve a season until it is closed; see `Server`.
+    """Serve a season until it is closed; see `Server`. Nobody else can take its ports between two matches.
 
     Raises:
+        ConfigError: a port is in use.
         StorageError: the run cannot be written to.
         ExperimentError: the executor can run nothing.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
     with ExitStack() as stack:
+        assert competition.season is not None
+        if gate is not None:
+            for slot in range(competition.season.parallel):
+                stack.enter_context(reserve(gate_of(gate, slot).bind))
         server = stack.enter_context(
             Server(store, competition, secret, code, gate, say, now=now, clock=clock)
         )

@@ -28,6 +28,7 @@ from experiment_runner.store.lock import DirectoryTaken
 from glue.client.libzmq import new_pair
 from glue.errors import ConfigError, ExperimentError
 from glue.keys.certificates import encode
+from tests.experiment_runner.competition.players import Walker
 from tests.experiment_runner.competition.season.inside import CODE, FILE, SECRET, Absent, Raising, Season
 
 
@@ -251,6 +252,20 @@ def test_one_that_does_not_come_back_after_a_restart_loses_nothing(season: Seaso
     assert season.states("alice") == {1: "ours", 2: "cancelled"}
 
 
+def test_who_is_absent_is_waited_for_once(season: Season) -> None:
+    season.enrol("alice")
+    season.executor.agents["alice"] = Absent
+    season.attempt("alice")
+    assert season.states("alice") == {1: "over"}
+    assert season.executor.awaited == ["alice/mines/0"]
+    assert season.state.attempt("alice", 1).why == "mines, trial 0: it did not connect within 30 s"
+    assert [one.reason for one in season.store.outcomes().values()] == 2 * ["it did not connect within 30 s"]
+    assert [one.problem for one in season.store.verdicts().values()] == [None, None]
+    season.executor.agents["alice"] = Walker()
+    season.attempt("alice")
+    assert len(season.executor.awaited) == 1
+
+
 def test_nothing_is_played_without_end(season: Season) -> None:
     season.enrol("alice")
     season.executor.agents["alice"] = None
@@ -374,6 +389,29 @@ def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(tmp_path: Path) -
         made.act("close")  # what has proved itself plays the testing tasks
         with pytest.raises(ExperimentError, match="the season closed"):
             made.ask(alice)
+
+
+def test_an_image_is_run_again_as_it_was_and_kept_for_that(tmp_path: Path) -> None:
+    made = Season(tmp_path, FILE.replace("failures = 2", "failures = 2\nimages = true"))
+    first, unused, last = ("sha256:" + 64 * digit for digit in "012")
+    with made.stack:
+        made.enrol("alice", "bob")
+        made.ask(Submit("alice", first, "alice:1"))
+        made.executor.agents["alice"] = made.executor.agents["bob"] = None
+        made.ask(Attempt("alice"))
+        made.turns()
+        made.act("exclude", "alice")
+        made.act("readmit", "alice")
+        made.ask(Submit("alice", unused, "alice:2"))
+        made.ask(Submit("alice", last, "alice:3"))
+        made.act("rerun", "alice")
+        made.turns()
+        (job,) = made.executor.jobs.values()
+        assert (job.spec.id, job.entrant.id) == ("alice/mines/2", first)
+        keys = {made.state.entrants["bob"].act.id}
+        assert made.course.images - keys == {first, last}
+        made.act("close")
+        assert made.course.images - keys == {last}
 
 
 def test_entrants_of_the_file_play_by_themselves(tmp_path: Path) -> None:
