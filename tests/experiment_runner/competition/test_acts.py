@@ -146,7 +146,7 @@ def test_who_is_added_plays_the_same_levels(run: Run) -> None:
     del run.executor.agents["bob"]
     run.turns()
     with Results.open(run.directory) as results:
-        specs = {record.spec.id: record.spec for record in results.trials()}
+        specs = {str(record.spec.id): record.spec for record in results.trials()}
     assert specs["carol/mines/1"].environment == specs["bob/mines/1"].environment
     assert run.counts() == {"alice": 2, "bob": 0, "carol": 2}
     run.text = late.read_text()
