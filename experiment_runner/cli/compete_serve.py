@@ -235,13 +235,11 @@ def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]
     from experiment_runner.competition.records.journal import Act, utc_now
     from experiment_runner.competition.season.acts import acts_for, competition_given
     from experiment_runner.competition.season.control import Organise
-    from experiment_runner.competition.season.state import SeasonState
     from experiment_runner.store.results import Results
 
     def acts(course: Course, results: Results) -> list[Act]:
         competition_given(wanted, course)
-        state = None if course.competition.season is None else SeasonState.of(course)
-        return acts_for(wanted, course, state, results.outcomes(), utc_now())
+        return acts_for(wanted, course, results.outcomes(), utc_now())
 
     wanted = Organise(kind, **wish)
     return [line_of(one) for one in act_on(directory, acts)]

@@ -122,6 +122,7 @@ class Dispatcher:
 
     def cancel(self, trial_id: str) -> None:
         """Forget a trial that waits or runs."""
+        self._losses.pop(trial_id, None)
         if trial_id in self.running:
             self.running.remove(trial_id)
             self._executor.cancel(trial_id)

@@ -20,22 +20,25 @@ from glue.errors import ExperimentError
 def acts_for(
     wanted: Organise,
     course: Course,
-    state: SeasonState | None,
     over: Collection[str],
     now: datetime,
+    state: SeasonState | None = None,
 ) -> list[Act]:
     """Return the acts of the journal that carry out an organiser's wish.
 
     Args:
         wanted: the wish.
         course: of the competition, so far.
-        state: of the season; None if the competition has none.
         over: ids of the trials that are over.
         now: the time.
+        state: of the season, if it is known.
 
     Raises:
         ExperimentError: it cannot be; the message says why.
     """
+
+    if state is None and course.competition.season is not None:
+        state = SeasonState.of(course)
 
     def one(subject: str, kind: str = wanted.act, number: int = 0, **more: Any) -> Act:
         return act(kind, subject, wanted.why, now=now, number=number, **more)

@@ -258,7 +258,7 @@ class Server(Matches):
     def _organise(self, wanted: control.Organise) -> Reply:
         outcomes = self._store.outcomes() if "/" in wanted.subject else ()
         given = competition_given(wanted, self._course)
-        acts = acts_for(wanted, self._course, self._state, outcomes, self._now())
+        acts = acts_for(wanted, self._course, outcomes, self._now(), self._state)
         if given is not None:
             added = {one.subject for one in acts}
             self._named |= {entrant.name: entrant for entrant in given.entrants if entrant.name in added}

@@ -13,7 +13,6 @@ from experiment_runner.competition.records.journal import utc_now
 from experiment_runner.competition.season.acts import acts_for, competition_given
 from experiment_runner.competition.season.control import Door, Organise, Reply, Request
 from experiment_runner.competition.season.server import Server, gate_of
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import Competition, Gate
 from experiment_runner.executors.dispatcher import Executor
 from experiment_runner.executors.interrupts import Interrupts
@@ -50,9 +49,8 @@ def answering(door: Door) -> Callable[[Held, float], None]:
         def answer(request: Request) -> Reply:
             if not isinstance(request, Organise):
                 raise ExperimentError("the season is over, and its final is played")
-            course, given = held.course, competition_given(request, held.course)
-            state = None if course.season is None else SeasonState.of(course)
-            acts = acts_for(request, course, state, held.over, utc_now())
+            given = competition_given(request, held.course)
+            acts = acts_for(request, held.course, held.over, utc_now())
             held.record(acts, given)
             return {"acts": [line_of(one) for one in acts]}
 
