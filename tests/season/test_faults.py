@@ -42,11 +42,8 @@ opens = {opens}
 closes = {closes}
 enrol = "closed"
 parallel = 2
-[tasks.mines]
-env = "mines"
-options = {{ random_start = true }}
-steps = 200
-phase = "proving"
+[tasks]
+mines = {{ env = "mines", options.random_start = true, steps = 200, phase = "proving" }}
 """
 _ENTRANT = '[entrants.walk{number}]\ncommand = ["{python}", "-m", "tests.season.walk"]\n'
 
