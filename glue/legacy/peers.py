@@ -39,6 +39,8 @@ _BUSY: Final = PlayerState.BUSY
 _GONE: Final = PlayerState.GONE
 _CALL: Final = PlayerEvent.CALL
 _ANSWER: Final = PlayerEvent.ANSWER
+_CALLED: Final = PLAYER[_IDLE][_CALL]
+_ANSWERED: Final = PLAYER[_BUSY][_ANSWER]
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
@@ -167,7 +169,10 @@ class LegacyPlayer(LegacyPeer):
         state, kind = self._state, message[0]
         if state is _GONE:
             return False
-        if kind in CALLS:
+        if state is _IDLE and kind in CALLS:
+            self._state = _CALLED
+            self._ask(message)
+        elif kind in CALLS:
             if state is not _BUSY or message[2] != self._seq:  # else the call under way is repeated
                 self._state = state = PLAYER[state][_CALL]
                 if state is _BUSY:
@@ -212,6 +217,11 @@ class LegacyPlayer(LegacyPeer):
             self._finish_call(substitute, now)
         data = connection.receive()
         if data:
+            asked = self._asked
+            answer = decoder.whole(data, asked) if asked is not None and self._state is _BUSY else None
+            if answer is not None:
+                self._finish_call(answer, now)
+                return
             decoder.receive_data(data)
         try:
             while decoder.buffered and self._state is not _GONE:
@@ -235,7 +245,7 @@ class LegacyPlayer(LegacyPeer):
     def _finish_call(self, answer: Frame, now: float) -> None:
         """Act on the answer to the call, which is of its kind, or an error in its place."""
         self._asked = None
-        self._state = state = PLAYER[self._state][_ANSWER]
+        self._state = state = _ANSWERED if self._state is _BUSY else PLAYER[self._state][_ANSWER]
         if state is _IDLE:
             kind, scalars, body = answer
             message = _message(Message, (kind, self._session, self._seq, scalars, body))
