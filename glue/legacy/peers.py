@@ -14,6 +14,7 @@ from glue.hub.config import LegacyPort
 from glue.hub.io.connection import Connection
 from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.legacy.codec import (
+    HEAD_SIZE,
     TO_AGENT,
     TO_ENVIRONMENT,
     Decoder,
@@ -217,8 +218,8 @@ class LegacyPlayer(LegacyPeer):
             self._finish_call(substitute, now)
         data = connection.receive()
         if data:
-            asked = self._asked
-            answer = decoder.whole(data, asked) if asked is not None and self._state is _BUSY else None
+            kind = self._asked
+            answer = decoder.whole(data, kind) if kind is not None and self._state is _BUSY else None
             if answer is not None:
                 self._finish_call(answer, now)
                 return
@@ -227,6 +228,8 @@ class LegacyPlayer(LegacyPeer):
             while decoder.buffered and self._state is not _GONE:
                 answer = decoder.next_event()
                 if answer is None:
+                    if data and decoder.buffered == HEAD_SIZE:
+                        self._loop.expect(connection)  # the payload soon follows
                     break
                 if answer[0] is not self._asked:
                     asked = "nothing" if self._asked is None else self._asked.name
