@@ -146,16 +146,16 @@ class Decoder:
             self._later.append(data)
         self.buffered += len(data)
 
-    def whole(self, data: bytes, kind: int) -> Frame | None:
-        """Return the message of `kind` that `data` ends, if it began with it or its head has been received.
+    def answer(self, data: bytes, kind: Kind | Control) -> tuple[tuple[Value, ...], bytes] | None:
+        """Return scalars and body of a player's answer to `kind`, if `data` is all of it or all but its head.
 
         A step has a shorter way here. If the result is None, nothing has happened: `receive_data` takes it.
         """
-        known, head, _, terminal, content, form, limit = self._vocabulary[kind]
-        if self.buffered == HEAD_SIZE:
+        _, head, _, terminal, content, form, limit = self._vocabulary[kind]
+        if self.buffered:
+            if self.buffered != HEAD_SIZE:
+                return None
             data = self._buffer[self._at :] + data
-        elif self.buffered:
-            return None
         size, at = len(data), head.size
         if size < at or size > limit or self.overhang or self._error is not None:
             return None
@@ -174,8 +174,7 @@ class Decoder:
             return None
         if self.buffered:
             self._buffer, self.buffered, self._needed = b"", 0, HEAD_SIZE
-        scalars = (*values[:2:-1], values[2] != 0) if terminal else values[:1:-1]
-        return _frame(Frame, (known, scalars, body))
+        return (values[3], values[2] != 0) if terminal else (), body
 
     def next_event(self) -> Frame | None:
         """Return the next message, or None until more bytes are received.

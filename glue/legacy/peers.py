@@ -217,12 +217,16 @@ class LegacyPlayer(LegacyPeer):
             substitute, self._substitute = self._substitute, None
             self._finish_call(substitute, now)
         data = connection.receive()
-        if data:
-            kind = self._asked
-            answer = decoder.whole(data, kind) if kind is not None and self._state is _BUSY else None
-            if answer is not None:
-                self._finish_call(answer, now)
+        kind = self._asked
+        if data and kind is not None and self._state is _BUSY:
+            content = decoder.answer(data, kind)
+            if content is not None:  # the usual case
+                self._asked = None
+                self._state = _ANSWERED
+                message = _message(Message, (kind, self._session, self._seq, *content))
+                self._sessions.receive(self, message, now)
                 return
+        if data:
             decoder.receive_data(data)
         try:
             while decoder.buffered and self._state is not _GONE:
@@ -248,7 +252,7 @@ class LegacyPlayer(LegacyPeer):
     def _finish_call(self, answer: Frame, now: float) -> None:
         """Act on the answer to the call, which is of its kind, or an error in its place."""
         self._asked = None
-        self._state = state = _ANSWERED if self._state is _BUSY else PLAYER[self._state][_ANSWER]
+        self._state = state = PLAYER[self._state][_ANSWER]
         if state is _IDLE:
             kind, scalars, body = answer
             message = _message(Message, (kind, self._session, self._seq, scalars, body))

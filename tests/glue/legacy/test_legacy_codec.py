@@ -197,7 +197,7 @@ def test_the_end_of_a_text_is_not_expected_after_a_whole_message() -> None:
     decoder.receive_data(raw(10, text_of("é".encode())))
     assert [message.kind for message in events(decoder)] == [Kind.AGENT_MESSAGE]
     assert decoder.overhang
-    assert decoder.whole(raw(7), Kind.AGENT_END) is None  # it would not end the wait for the end
+    assert decoder.answer(raw(7), Kind.AGENT_END) is None  # it would not end the wait for the end
     decoder.receive_data(raw(7) + b"\xa9" + raw(7))
     assert decoder.next_event() == Frame(Kind.AGENT_END)
     with pytest.raises(RemoteProtocolError, match="kind"):
@@ -295,7 +295,7 @@ def test_after_an_error_the_decoder_stays_in_error_and_keeps_nothing() -> None:
     with pytest.raises(RemoteProtocolError) as second:
         decoder.next_event()
     assert str(first.value) == str(second.value)
-    assert decoder.whole(raw(7), 7) is None
+    assert decoder.answer(raw(7), Kind.AGENT_END) is None
 
 
 # What cannot be sent

@@ -66,10 +66,13 @@ def reading(
     found: list[str] = []
     for piece in pieces:
         remember(known())
-        if shortcut and any(whole := decoder.whole(piece, kind) for kind in vocabulary):
-            found.append(repr(whole))
-            continue
-        decoder.receive_data(piece)
+        for layout in (*FROM_AGENT.values(), *FROM_ENVIRONMENT.values()) if shortcut else ():
+            kind = layout.kind
+            if kind in vocabulary and vocabulary[kind] is layout and (answer := decoder.answer(piece, kind)):
+                found.append(repr(Frame(kind, *answer)))
+                break
+        else:
+            decoder.receive_data(piece)
         while (event := outcome(decoder.next_event)) != "None":
             found.append(event)
             if "Error" in event:
