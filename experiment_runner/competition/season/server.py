@@ -358,8 +358,9 @@ class Server(Matches):
         clock = self._clock()
         if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
             self._boards, self._boards_of = None, len(self._acts)
-            outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
-            self._boards = Boards(self._course, outcomes, verdicts, self._now())
+            of = self._store
+            trials = of.outcomes(), of.verdicts(), of.late_actions()
+            self._boards = Boards(self._course, *trials, self._now())
             self._boards.seen_by(ANYBODY)
             self._boards_until = self._clock() + 4 * (self._clock() - clock)
         return self._boards

@@ -26,7 +26,7 @@ def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed
         publisher.publish()
         public = tmp_path / "public"
         assert {path.name for path in public.iterdir()} == {
-            *("index.html", "static", "season.json", "feed.xml", "entrants"),
+            *("index.html", "static", "season.json", "feed.xml", "entrants")
         }
         board = json.loads((public / "season.json").read_text())
         assert (board["replays"], [one["name"] for one in board["entrants"]]) == (False, ["amber lynx"])
