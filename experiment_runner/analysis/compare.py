@@ -13,13 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from experiment_runner.analysis.stats import (
-    Estimate,
-    FloatArray,
-    binomial_cdf,
-    interquartile_mean,
-    welch_p,
-)
+from experiment_runner.analysis import stats
 
 _RESAMPLES: Final = 2000
 
@@ -32,12 +26,12 @@ class Comparison(NamedTuple):
     trials       number of trials of each agent
     """
 
-    difference: Estimate
-    improvement: Estimate
+    difference: stats.Estimate
+    improvement: stats.Estimate
     trials: int
 
 
-def compare(a: FloatArray, b: FloatArray, rng: np.random.Generator) -> Comparison:
+def compare(a: stats.FloatArray, b: stats.FloatArray, rng: np.random.Generator) -> Comparison:
     """Return the comparison of the performance of two agents in the same trials.
 
     The intervals are percentile bootstrap intervals. Trials are resampled in pairs, because both agents have
@@ -48,31 +42,31 @@ def compare(a: FloatArray, b: FloatArray, rng: np.random.Generator) -> Compariso
         rng: for resampling.
     """
     chosen = rng.integers(len(a), size=(_RESAMPLES, len(a)))
-    resampled = interquartile_mean(a[chosen], axis=1) - interquartile_mean(b[chosen], axis=1)
-    difference = float(interquartile_mean(a) - interquartile_mean(b))
+    resampled = stats.interquartile_mean(a[chosen], axis=1) - stats.interquartile_mean(b[chosen], axis=1)
+    difference = float(stats.interquartile_mean(a) - stats.interquartile_mean(b))
     better = (np.sign(a[:, None] - b[None, :]) + 1) / 2
     among = np.array([better[np.ix_(one, one)].mean() for one in chosen])
     return Comparison(_estimate(difference, resampled), _estimate(float(better.mean()), among), len(a))
 
 
-def _estimate(value: float, resampled: FloatArray) -> Estimate:
+def _estimate(value: float, resampled: stats.FloatArray) -> stats.Estimate:
     low, high = np.percentile(resampled, [2.5, 97.5])
-    return Estimate(np.array(value), low, high)
+    return stats.Estimate(np.array(value), low, high)
 
 
-def profile(values: FloatArray, thresholds: FloatArray) -> FloatArray:
+def profile(values: stats.FloatArray, thresholds: stats.FloatArray) -> stats.FloatArray:
     """Return the share of trials above each threshold, same shape as `thresholds`.
 
     Args:
         values: performance in each trial, shape (trials,).
         thresholds: any values.
     """
-    shares: FloatArray = np.mean(values[:, None] > thresholds[None, :], axis=0)
+    shares: stats.FloatArray = np.mean(values[:, None] > thresholds[None, :], axis=0)
     return shares
 
 
 def tolerance_interval(
-    values: FloatArray, share: float = 0.9, confidence: float = 0.95
+    values: stats.FloatArray, share: float = 0.9, confidence: float = 0.95
 ) -> tuple[float, float]:
     """Return a distribution-free interval that contains a share of all trials with this confidence.
 
@@ -101,13 +95,13 @@ def _trials_outside(count: int, share: float, confidence: float) -> int:
     """Return k for the interval from the k-th smallest of `count` trials to the k-th greatest; 0 for none."""
     for outside in range(count // 2, 0, -1):
         # The interval spans count + 1 - 2 k spacings.
-        if binomial_cdf(count - 2 * outside, count, share) >= confidence:
+        if stats.binomial_cdf(count - 2 * outside, count, share) >= confidence:
             return outside
     return 0
 
 
 def trials_needed(
-    pilot: FloatArray,
+    pilot: stats.FloatArray,
     difference: float,
     rng: np.random.Generator,
     *,
@@ -141,14 +135,14 @@ def trials_needed(
 
 
 def _power(
-    pilot: FloatArray, difference: float, trials: int, rng: np.random.Generator, resamples: int
+    pilot: stats.FloatArray, difference: float, trials: int, rng: np.random.Generator, resamples: int
 ) -> float:
     """Return the share of simulated comparisons of `trials` trials that detect the difference."""
     a, b = rng.choice(pilot, size=(2, resamples, trials))
-    return float(np.mean(welch_p(a + difference, b) < 0.05))
+    return float(np.mean(stats.welch_p(a + difference, b) < 0.05))
 
 
-def sensitivity(scores: FloatArray) -> tuple[float, int]:
+def sensitivity(scores: stats.FloatArray) -> tuple[float, int]:
     """Return the sensitivity of an agent to its options, and the configuration that is best on average.
 
     The sensitivity is the loss, in normalised scores, from using one configuration for all environments

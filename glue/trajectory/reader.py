@@ -13,28 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from glue.files import open_regular
-from glue.trajectory import limits
-from glue.trajectory.records import (
-    ANSWER,
-    BEGIN,
-    BLOCK,
-    COUNTS,
-    ENDINGS,
-    MAGIC,
-    MESSAGE,
-    REWARD,
-    RUN,
-    START,
-    STEP,
-    TERMINAL_END,
-    TERMINAL_STEP,
-    Answer,
-    Ending,
-    Episode,
-    Run,
-    is_plain,
-    width,
-)
+from glue.trajectory import limits, records
 from glue.trajectory.steps import ActionSteps, Block, Steps
 from glue.trajectory.unpacked import Torn, TrajectoryError, Unpacked
 from glue.types import Observation
@@ -61,12 +40,12 @@ class TrajectoryReader:
         self.path: Path = Path(path)
         self.torn: bool = False
 
-    def __iter__(self) -> Iterator[Episode]:
+    def __iter__(self) -> Iterator[records.Episode]:
         self.torn = False
         try:
             with open_regular(self.path) as file:
                 unpacked = Unpacked(file, str(self.path))
-                while unpacked.next_member(MAGIC):
+                while unpacked.next_member(records.MAGIC):
                     yield from _episodes(unpacked)
         except Torn:
             self.torn = True
@@ -74,27 +53,27 @@ class TrajectoryReader:
             raise TrajectoryError(f"cannot read {self.path}: {error.strerror}") from None
 
 
-def _episodes(unpacked: Unpacked) -> Iterator[Episode]:
+def _episodes(unpacked: Unpacked) -> Iterator[records.Episode]:
     """Yield the episodes of one gzip member."""
-    run: Run | None = None
+    run: records.Run | None = None
     messages: list[str] = []
-    answers: list[Answer] = []
+    answers: list[records.Answer] = []
     while not unpacked.at_end():
         if not messages and not answers:
             begin = unpacked.offset
         kind = unpacked.take(1)
-        if kind == RUN:
+        if kind == records.RUN:
             run = _run_from_json(unpacked)
             messages.clear()
             answers.clear()
-        elif kind == MESSAGE and run is not None:
+        elif kind == records.MESSAGE and run is not None:
             messages.append(unpacked.text(limits.MAX_TEXT))
             _check_size(unpacked, begin, len(messages))
-        elif kind == ANSWER and run is not None:
+        elif kind == records.ANSWER and run is not None:
             answers.append(_answer(unpacked, 0))
             _check_size(unpacked, begin, len(answers))
-        elif kind in (START, BEGIN) and run is not None:
-            read = _episode if kind == START else _actions_only
+        elif kind in (records.START, records.BEGIN) and run is not None:
+            read = _episode if kind == records.START else _actions_only
             yield read(unpacked, run, tuple(messages), answers, begin)
             messages.clear()
             answers = []
@@ -103,45 +82,45 @@ def _episodes(unpacked: Unpacked) -> Iterator[Episode]:
 
 
 def _episode(
-    unpacked: Unpacked, run: Run, messages: tuple[str, ...], answers: list[Answer], begin: int
-) -> Episode:
+    unpacked: Unpacked, run: records.Run, messages: tuple[str, ...], answers: list[records.Answer], begin: int
+) -> records.Episode:
     """Read an episode from its first observation; `begin` is the offset of its first record."""
     start = Observation.from_body(unpacked.body(limits.MAX_BODY))
     steps = Steps()
-    while (kind := unpacked.take(1)) in (STEP, TERMINAL_STEP, ANSWER):
-        if kind == ANSWER:
+    while (kind := unpacked.take(1)) in (records.STEP, records.TERMINAL_STEP, records.ANSWER):
+        if kind == records.ANSWER:
             answers.append(_answer(unpacked, len(steps) + 1))
             _check_size(unpacked, begin, len(answers))
             continue
-        reward = unpacked.take(REWARD.size)
+        reward = unpacked.take(records.REWARD.size)
         action, observation = unpacked.action(limits.MAX_BODY), unpacked.body(limits.MAX_BODY)
-        steps.append(reward, action, observation, kind == TERMINAL_STEP)
+        steps.append(reward, action, observation, kind == records.TERMINAL_STEP)
         _check_size(unpacked, begin, len(steps))
-        if kind == TERMINAL_STEP:
+        if kind == records.TERMINAL_STEP:
             break
-    ending = Ending.TERMINAL if kind == TERMINAL_STEP else ENDINGS.get(kind)
-    if ending is None or kind == TERMINAL_END or (answers and answers[-1].step > len(steps)):
+    ending = records.Ending.TERMINAL if kind == records.TERMINAL_STEP else records.ENDINGS.get(kind)
+    if ending is None or kind == records.TERMINAL_END or (answers and answers[-1].step > len(steps)):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
-    return Episode(run, messages, start, steps, ending, tuple(answers))
+    return records.Episode(run, messages, start, steps, ending, tuple(answers))
 
 
 def _actions_only(
-    unpacked: Unpacked, run: Run, messages: tuple[str, ...], answers: list[Answer], begin: int
-) -> Episode:
+    unpacked: Unpacked, run: records.Run, messages: tuple[str, ...], answers: list[records.Answer], begin: int
+) -> records.Episode:
     """Read an episode without observations; `begin` is the offset of its first record."""
     steps = ActionSteps()
-    while (kind := unpacked.take(1)) == BLOCK:
+    while (kind := unpacked.take(1)) == records.BLOCK:
         steps.append(_block(unpacked, begin + limits.MAX_EPISODE))
         _check_size(unpacked, begin, 0)
-    if kind not in ENDINGS or (kind == TERMINAL_END and not steps):
+    if kind not in records.ENDINGS or (kind == records.TERMINAL_END and not steps):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
-    steps.end(kind == TERMINAL_END)
-    return Episode(run, messages, None, steps, ENDINGS[kind], tuple(answers))
+    steps.end(kind == records.TERMINAL_END)
+    return records.Episode(run, messages, None, steps, records.ENDINGS[kind], tuple(answers))
 
 
 def _block(unpacked: Unpacked, end: int) -> Block:
     """Read a block of steps, whose actions may not pass the offset `end`."""
-    steps, k, m = COUNTS.unpack(unpacked.take(COUNTS.size))
+    steps, k, m = records.COUNTS.unpack(unpacked.take(records.COUNTS.size))
     if not (1 <= steps <= limits.MAX_BLOCK and 1 <= k <= steps and 1 <= m <= steps):
         raise unpacked.malformed(f"a block of {steps} steps with {k} actions and {m} rewards")
     actions = []
@@ -154,14 +133,14 @@ def _block(unpacked: Unpacked, end: int) -> Block:
         return np.frombuffer(unpacked.take(count * np.dtype(dtype).itemsize), dtype)
 
     rewards = column("<f8", m)
-    choices, paid = column(width(k), steps), column(width(m), steps)
+    choices, paid = column(records.width(k), steps), column(records.width(m), steps)
     if choices.max() >= k or paid.max() >= m:
         raise unpacked.malformed("a step with an action or reward that its block does not have")
     return Block(tuple(actions), choices, rewards[paid])
 
 
-def _answer(unpacked: Unpacked, step: int) -> Answer:
-    return Answer(step, unpacked.text(limits.MAX_TEXT), unpacked.text(limits.MAX_TEXT))
+def _answer(unpacked: Unpacked, step: int) -> records.Answer:
+    return records.Answer(step, unpacked.text(limits.MAX_TEXT), unpacked.text(limits.MAX_TEXT))
 
 
 def _check_size(unpacked: Unpacked, begin: int, count: int) -> None:
@@ -172,7 +151,7 @@ def _check_size(unpacked: Unpacked, begin: int, count: int) -> None:
         )
 
 
-def _run_from_json(unpacked: Unpacked) -> Run:
+def _run_from_json(unpacked: Unpacked) -> records.Run:
     text = unpacked.text(limits.MAX_TEXT)
     # 16 MiB of "[]," would become half a gigabyte of lists; a run has few values, some of them long texts.
     if len(_TEXT_IN_JSON.sub("", text)) > limits.MAX_RUN_SYNTAX:
@@ -181,7 +160,7 @@ def _run_from_json(unpacked: Unpacked) -> Run:
         )
     try:
         fields: Any = json.loads(text)
-        run = Run(
+        run = records.Run(
             environment=fields["environment"],
             options=fields["options"],
             task_spec=fields["task_spec"],
@@ -193,7 +172,7 @@ def _run_from_json(unpacked: Unpacked) -> Run:
     if not (
         isinstance(run.environment, str)
         and isinstance(run.options, dict)
-        and all(map(is_plain, run.options.values()))
+        and all(map(records.is_plain, run.options.values()))
         and isinstance(run.task_spec, str)
         and (run.seed is None or (type(run.seed) is int and 0 <= run.seed < 2**63))
     ):

@@ -9,17 +9,8 @@ from typing import Final
 
 import numpy as np
 
+from experiment_runner.analysis import stats
 from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.analysis.stats import (
-    Estimate,
-    FloatArray,
-    bootstrap_rng,
-    convergence_episode,
-    estimate,
-    mean,
-    mean_of_last,
-    running_mean,
-)
 from experiment_runner.plan.plan import RoleSpec
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.results import Results
@@ -67,7 +58,7 @@ class LevelResults:
     agent: str
     level: PaperLevel
     planned: int
-    curves: FloatArray
+    curves: stats.FloatArray
     values: tuple[int, ...]
     steps: int
     seconds: float
@@ -81,19 +72,19 @@ class LevelResults:
         return self.experiment.published.get(self.level.difficulty) if faithful else None
 
     @property
-    def rewards(self) -> FloatArray:
+    def rewards(self) -> stats.FloatArray:
         """The mean return of each trial's last `WINDOW` episodes, (trials,)."""
-        return np.array([mean_of_last(trial, WINDOW) for trial in self.curves])
+        return np.array([stats.mean_of_last(trial, WINDOW) for trial in self.curves])
 
     @property
-    def reward(self) -> Estimate:
+    def reward(self) -> stats.Estimate:
         """The mean of `rewards`, with its 95 % bootstrap interval."""
-        return estimate([self.rewards], mean, bootstrap_rng())
+        return stats.estimate([self.rewards], stats.mean, stats.bootstrap_rng())
 
     @property
     def reached(self) -> int | None:
         """The episode at which the mean curve first reached its final value; see `reach_episode`."""
-        return reach_episode(mean(self.curves))
+        return reach_episode(stats.mean(self.curves))
 
     @property
     def trials_reached(self) -> list[int]:
@@ -106,15 +97,15 @@ class LevelResults:
 
         A relapse of a single trial can delay it; see `convergence_episode`.
         """
-        return convergence_episode(mean(self.curves), WINDOW, TOLERANCE)
+        return stats.convergence_episode(stats.mean(self.curves), WINDOW, TOLERANCE)
 
     @property
     def trials_settled(self) -> list[int]:
         """The value of `settled` of each trial that settled, ascending."""
-        return _ascending(convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves)
+        return _ascending(stats.convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves)
 
     @property
-    def finishing(self) -> FloatArray:
+    def finishing(self) -> stats.FloatArray:
         """The share of each trial's last `WINDOW` episodes that reached the goal, 0 to 1, (trials,)."""
         return np.array([np.mean(trial[-WINDOW:] >= FINISHED) for trial in self.curves])
 
@@ -124,12 +115,12 @@ class LevelResults:
         return int(np.sum(self.finishing >= 0.5))
 
 
-def reach_episode(returns: FloatArray) -> int | None:
+def reach_episode(returns: stats.FloatArray) -> int | None:
     """Return the episode at which the running mean is first at least its final value less `TOLERANCE`.
 
     It shows how fast an agent learns, regardless of later relapses. None for fewer than `WINDOW` episodes.
     """
-    means = running_mean(returns, WINDOW)
+    means = stats.running_mean(returns, WINDOW)
     return int(np.argmax(means >= means[-1] - TOLERANCE)) + WINDOW if means.size else None
 
 

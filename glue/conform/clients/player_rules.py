@@ -22,7 +22,6 @@ from glue.conform.clients.connection import Gone
 from glue.conform.clients.harness import MAX_BODY
 from glue.conform.clients.mirror import FAIL, FAILURE
 from glue.conform.clients.player_harness import SHOWN, SPEC, TASK, PlayerHarness
-from glue.conform.forms import ASKING, CHARS, DOUBLES, EMPTY, INTS, MANY, MASKED, NOT_UTF_8, REWARDS, TEXTS
 from glue.conform.messages import described
 from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier
 from glue.errors import GlueError, TaskSpecError
@@ -62,7 +61,7 @@ def before_init(kit: PlayerHarness) -> None:
 @RULES.add(Tier.PLAYS, "bodies", mirror=True)
 def doubles(kit: PlayerHarness) -> None:
     """Doubles keep all their bits: negative zero, NaN, infinities."""
-    kit.steps(Observation([], DOUBLES), *(Observation([], [number]) for number in DOUBLES))
+    kit.steps(Observation([], forms.DOUBLES), *(Observation([], [number]) for number in forms.DOUBLES))
     exchange = kit.step(SHOWN, reward=-0.1)  # The reward goes from the header into the doubles.
     kit.run(exchange)
 
@@ -70,25 +69,25 @@ def doubles(kit: PlayerHarness) -> None:
 @RULES.add(Tier.PLAYS, "bodies", mirror=True)
 def ints(kit: PlayerHarness) -> None:
     """Ints are 32 bits, signed, little-endian."""
-    kit.steps(Observation(INTS))
+    kit.steps(Observation(forms.INTS))
 
 
 @RULES.add(Tier.PLAYS, "bodies", mirror=True)
 def chars(kit: PlayerHarness) -> None:
     """Chars are any bytes."""
-    kit.steps(Observation(chars=CHARS), Observation(chars=b"\0"))
+    kit.steps(Observation(chars=forms.CHARS), Observation(chars=b"\0"))
 
 
 @RULES.add(Tier.PLAYS, "bodies", needs=("doubles",), mirror=True)
 def empty(kit: PlayerHarness) -> None:
     """Any or all of the runs may be empty."""
-    kit.steps(*EMPTY)
+    kit.steps(*forms.EMPTY)
 
 
 @RULES.add(Tier.PLAYS, "bodies", needs=("doubles",), mirror=True)
 def counts(kit: PlayerHarness) -> None:
     """Each of the runs may have more than 65,535 elements."""
-    kit.steps(*MANY)
+    kit.steps(*forms.MANY)
 
 
 @RULES.add(Tier.PLAYS, "bodies", needs=("doubles", "counts"), mirror=True)
@@ -104,17 +103,17 @@ def large(kit: PlayerHarness) -> None:
 @RULES.add(Tier.PLAYS, "bodies", needs=("large",), mirror=True)
 def texts(kit: PlayerHarness) -> None:
     """Texts are UTF-8: empty, long, outside of ASCII, with NUL."""
-    for text in TEXTS:
+    for text in forms.TEXTS:
         kit.ask("MESSAGE", body=text)
     if kit.role is Role.AGENT:
-        for text in TEXTS:
+        for text in forms.TEXTS:
             kit.ask("INIT", body=text)
 
 
 @RULES.add(Tier.PLAYS, "the-header", needs=("doubles",), mirror=True)
 def rewards(kit: PlayerHarness) -> None:
     """A reward may be any number."""
-    for reward in REWARDS:
+    for reward in forms.REWARDS:
         if kit.role is Role.AGENT:
             kit.ask("STEP", reward, body=SHOWN.body)
             kit.ask("END", reward)
@@ -337,14 +336,14 @@ _BESIDE: Final = "beside-the-observation"
 @RULES.add(Tier.COMPLETE, _BESIDE, roles=(Role.AGENT,), capability=MASK, mirror=True)
 def mask(kit: PlayerHarness) -> None:
     """The bits of a mask, of which there may be none, say which values are legal."""
-    kit.steps(*MASKED, SHOWN)
-    kit.ask("START", body=MASKED[0].body)
+    kit.steps(*forms.MASKED, SHOWN)
+    kit.ask("START", body=forms.MASKED[0].body)
 
 
 @RULES.add(Tier.COMPLETE, _BESIDE, roles=(Role.ENVIRONMENT,), capability=MASK, mirror=True)
 def beside(kit: PlayerHarness) -> None:
     """A mask and extras follow the observation, with their sizes in bytes 12 to 15."""
-    kit.steps(*ASKING, SHOWN)
+    kit.steps(*forms.ASKING, SHOWN)
 
 
 @RULES.add(
@@ -360,7 +359,7 @@ def unconfirmed(kit: PlayerHarness) -> None:
     for carries in (None, frozenset[str](), {MASK}, {EXTRAS}):
         kit.connect()
         kit.welcome(carries=carries)
-        for asking in ASKING:
+        for asking in forms.ASKING:
             exchange = kit.step(asking)
             expected = exchange.expected._replace(body=readable(exchange.expected.body, carries or set()))
             kit.run(exchange._replace(expected=expected))
@@ -371,7 +370,7 @@ def unconfirmed(kit: PlayerHarness) -> None:
 def broken_text(kit: PlayerHarness) -> None:
     """A text that is not UTF-8 is answered, if only with ERROR."""
     kinds = Kind.ERROR, kit.kinds["MESSAGE"]
-    for text in NOT_UTF_8:
+    for text in forms.NOT_UTF_8:
         kit.seq += 1
         kit.send(kit.kinds["MESSAGE"], seq=kit.seq, body=text)
         expected = f"{kinds[1].name} {kit.seq}, or ERROR"
