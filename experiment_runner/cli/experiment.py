@@ -282,7 +282,7 @@ def experiment(**settings: Any) -> int:
     # Slow to import.
     from experiment_runner.cli import run_plan
     from experiment_runner.cli.make_plan import hub_options, names_of, own_directory, planned
-    from experiment_runner.executors.settings import Placement, RunConfig
+    from experiment_runner.executors.job import Placement, RunConfig
     from experiment_runner.plan.plan import describe
 
     options = SimpleNamespace(**settings)

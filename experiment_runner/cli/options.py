@@ -17,7 +17,7 @@ from glue.errors import ConfigError, ExperimentError
 
 if TYPE_CHECKING:
     from experiment_runner.analysis.settings import Setting
-    from experiment_runner.executors.settings import RunConfig
+    from experiment_runner.executors.job import RunConfig
     from experiment_runner.view.server import Place
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -101,7 +101,7 @@ def check_backend(config: RunConfig) -> None:
 
 def check_address(backend: Backend, address: str | None) -> None:
     """Check the address of a cluster, as `check_backend`."""
-    from experiment_runner.executors.ray_cluster import parse_address
+    from experiment_runner.executors.workers import parse_address
 
     if address is not None:
         if backend is not Backend.RAY:
@@ -116,7 +116,7 @@ def naming_out(otherwise: str = "") -> Iterator[None]:
     Args:
         otherwise: another remedy, appended to the message.
     """
-    from experiment_runner.store.lock import DirectoryTaken
+    from experiment_runner.store.layout import DirectoryTaken
 
     try:
         yield

@@ -107,9 +107,9 @@ def paper(
 
 def _run(directory: Path, plan: Plan, workers: int) -> int:
     """Run the remaining trials of a plan; return the number of trials that failed."""
+    from experiment_runner.executors.job import BOTH, Placement, RunConfig
     from experiment_runner.executors.opening import open_run
     from experiment_runner.executors.run import run_trials
-    from experiment_runner.executors.settings import BOTH, Placement, RunConfig
     from experiment_runner.report.progress import Progress
     from glue.cli.screen import has_color
 

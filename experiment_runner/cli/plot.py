@@ -104,7 +104,7 @@ def plot(
     from experiment_runner.report import plots
     from experiment_runner.report.sketch import sketches
     from experiment_runner.report.tables import counted
-    from experiment_runner.store.extras import extra_columns
+    from experiment_runner.store.export import extra_columns
     from experiment_runner.store.records import MEASURES
     from experiment_runner.store.results import Results
 

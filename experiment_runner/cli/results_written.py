@@ -25,10 +25,10 @@ from experiment_runner.store.export import (
     write_csv,
     write_json,
     write_parquet,
+    written,
 )
 from experiment_runner.store.layout import STREAMS, remove_run
 from experiment_runner.store.merge import merge as merge_runs
-from experiment_runner.store.output import written
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
 from glue.console import did_you_mean, say

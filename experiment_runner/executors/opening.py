@@ -25,7 +25,7 @@ from experiment_runner.plan.provenance import about, program
 from experiment_runner.plan.user_files import UserFile, changed_files, user_files
 from experiment_runner.store import layout
 from experiment_runner.store.database import holds_run, reported
-from experiment_runner.store.lock import DirectoryTaken
+from experiment_runner.store.layout import DirectoryTaken
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError, HubUnreachable, Refused

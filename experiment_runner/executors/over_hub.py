@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Final
 
 from experiment_runner.executors import player_command
-from experiment_runner.executors.job import AtHub, Joined, Line, Report
+from experiment_runner.executors.job import AtHub, HubOptions, Joined, Line, Placement, Report
 from experiment_runner.executors.players import players_inside
-from experiment_runner.executors.settings import HubOptions, Placement
 from experiment_runner.plan.plan import Plan, TrialSpec
 from experiment_runner.processes.children import KeptAlive, Say
 from experiment_runner.processes.scratch import SOCKET, scratch_folder

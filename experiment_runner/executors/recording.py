@@ -7,13 +7,14 @@ players only repeat to restore their state are not recorded.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
-from experiment_runner.executors.extras import Extras
 from experiment_runner.executors.job import BEGINNING, Start
-from experiment_runner.plan.metrics import ALL, Keep, MetricsPlan
+from experiment_runner.plan.metrics import ALL, Keep, MetricsPlan, Summary, extra_of
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.readings import Part, pack_parts, unpack_parts
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult, Reading, ask
@@ -23,6 +24,80 @@ from glue.errors import GlueError, PeerLost, Unsupported
 from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
 from glue.types import Observation
 from glue.wire.messages import Role
+
+
+@dataclass(slots=True)
+class _Values:
+    """The values of an extra in an episode."""
+
+    first: float
+    last: float = math.nan
+    sum: float = 0.0
+    count: int = 0
+    min: float = math.inf
+    max: float = -math.inf
+
+    def add(self, value: float) -> None:
+        self.last = value
+        self.sum += value
+        self.count += 1
+        self.min = min(self.min, value)
+        self.max = max(self.max, value)
+
+    @property
+    def mean(self) -> float:
+        return self.sum / self.count
+
+
+class Extras:
+    """Reader of an environment's extras, which gives a number for each in an episode.
+
+    Args:
+        plan: the summary of each extra; see `experiment_runner.plan.metrics`.
+        label: the environment's.
+    """
+
+    def __init__(self, plan: Mapping[str, Summary], label: str) -> None:
+        self._label = label
+        self._summaries = {extra_of(key, label): how for key, how in plan.items()}
+        self._values: dict[str, _Values] = {}
+        self._unfit: dict[str, object] = {}
+
+    def begin(self) -> None:
+        """Begin an episode."""
+        self._values = {}
+
+    def see(self, observation: Observation) -> None:
+        """Take the extras of the episode's next observation."""
+        for given, value in observation.extras.items():
+            name = extra_of(given, self._label)  # an environment may also put its own name before an extra's
+            if name not in self._summaries:
+                continue
+            if not isinstance(value, int | float):
+                self._unfit.setdefault(name, value)
+                continue
+            if name not in self._values:
+                self._values[name] = _Values(float(value))
+            self._values[name].add(float(value))
+
+    def numbers(self) -> dict[str, float]:
+        """Return the number of each extra in the episode, by the environment's label, a dot, and its name."""
+        return {
+            f"{self._label}.{name}": getattr(self._values[name], how)
+            for name, how in self._summaries.items()
+            if name in self._values
+        }
+
+    def missing(self) -> Iterator[str]:
+        """Yield for each extra of the plan without a number in the episode why there is none.
+
+        One whose name has a dot may be that of an environment with another label.
+        """
+        for name in self._summaries:
+            if name in self._unfit and name not in self._values:
+                yield f"the extra {name} is not recorded: it is {self._unfit[name]!r:.40}, not a number"
+            elif name not in self._values and "." not in name:
+                yield f"the environment sent no extra {name}: some send extras only if an option says so"
 
 
 @contextmanager

@@ -22,14 +22,13 @@ from experiment_runner.executors.job import (
     Playing,
     Recorded,
     Report,
+    RunConfig,
     Start,
     Voided,
 )
 from experiment_runner.executors.opening import go_back, remaining
-from experiment_runner.executors.ray_cluster import RayExecutor
-from experiment_runner.executors.settings import RunConfig
 from experiment_runner.executors.trial import run_job
-from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.executors.workers import LocalExecutor, RayExecutor
 from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Progress

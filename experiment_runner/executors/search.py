@@ -20,11 +20,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from experiment_runner.analysis.stats import interquartile_mean
+from experiment_runner.executors.job import RunConfig
 from experiment_runner.executors.opening import Definition, go_back, lengthen, open_run, remaining
 from experiment_runner.executors.run import run_trials
-from experiment_runner.executors.settings import RunConfig
 from experiment_runner.plan.file import dump_plan
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec, plain, trial_seed
 from experiment_runner.plan.tuning import Range, Space, TunePlan
 from experiment_runner.report.progress import Progress

@@ -8,13 +8,21 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from experiment_runner.analysis.compare import Comparison, compare, sensitivity, trials_needed
 from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.analysis.stats import FEW_TRIALS, Estimate, bootstrap_rng, mean_of_last
+from experiment_runner.analysis.stats import (
+    FEW_TRIALS,
+    Comparison,
+    Estimate,
+    bootstrap_rng,
+    compare,
+    mean_of_last,
+    sensitivity,
+    trials_needed,
+)
 from experiment_runner.plan.plan import RoleSpec, plain
 from experiment_runner.report.overview import FEW
 from experiment_runner.report.tables import unfinished
-from experiment_runner.store.output import finite
+from experiment_runner.store.export import finite
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from experiment_runner.analysis import stats
-from experiment_runner.analysis.compare import profile, tolerance_interval
 from experiment_runner.analysis.curves import Curve, StepTotals, of_metric, over_episodes, over_steps
+from experiment_runner.analysis.stats import profile, tolerance_interval
 from experiment_runner.report.overview import FEW
 from experiment_runner.report.tables import counted
-from experiment_runner.store.output import written
+from experiment_runner.store.export import written
 from glue.errors import ExperimentError
 
 if TYPE_CHECKING:

@@ -4,25 +4,104 @@ Each row is an episode or, over steps, a window of steps. The columns of an epis
 the measures of an episode (return, steps, terminal: false when the step limit truncated it, wall_time in
 seconds), the extras that were recorded, seed (of the trial), agent and environment (labels), and one for each
 option, such as `agent.step_size`, which is empty where the trial does not set it.
+
+The extras that a run has recorded, as columns of its episodes.
+
+They are stored as metrics that are called by the environment's label, a dot, and the extra's name.
+
+Files are replaced as a whole; JSON has only numbers that it can represent, and CSV no formulas.
 """
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple, TextIO
 
-from experiment_runner.plan.ids import REMOTE
+import numpy as np
+import numpy.typing as npt
+
+from experiment_runner.plan.limits import REMOTE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from experiment_runner.store.extras import extra_columns, extras_of
-from experiment_runner.store.output import csv_row, finite, written
+from experiment_runner.store.database import reported
 from experiment_runner.store.records import MEASURES
 from experiment_runner.store.results import Results
+from glue.console import cell
 from glue.errors import ExperimentError
 from glue.options import Value
+
+
+def finite(value: object) -> object:
+    """Return `value`, or None if it is infinite or NaN, which JSON cannot represent."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def csv_row(cells: Sequence[object]) -> list[object]:
+    """Return the cells of a row of CSV: booleans are `true` and `false`, and no text is a formula."""
+    return [
+        str(value).lower() if isinstance(value, bool) else cell(value) if isinstance(value, str) else value
+        for value in cells
+    ]
+
+
+@contextlib.contextmanager
+def written(path: Path) -> Iterator[Path]:
+    """Yield a temporary path to write to; it is renamed to `path` at the end, or removed on an exception.
+
+    A device or pipe, such as /dev/stdout, is written to directly.
+
+    Raises:
+        ExperimentError: the file cannot be written.
+    """
+    target = path.resolve()  # a symbolic link is not replaced
+    with reported(f"cannot write {path}"):
+        if target.exists() and not target.is_file():
+            yield target
+            return
+        partial = target.with_name(f".{target.name}.{os.getpid()}")
+        try:
+            yield partial
+            partial.replace(target)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+_TAKEN: Final = {"trial", "episode", *MEASURES, "reward", "seed", "agent", "environment"}
+_OPTIONS: Final = ("agent.", "environment.")
+
+
+def extra_columns(results: Results) -> list[str]:
+    """Return the names of the columns of a run's extras, sorted.
+
+    They are those of the extras; one that is the name of another column follows `extra.`.
+    """
+    metrics = results.metric_names()
+    labels = {f"{record.spec.environment_label}." for record in results.trials()} if metrics else set()
+    return sorted({_column(name, label) for label in labels for name in metrics if name.startswith(label)})
+
+
+def extras_of(results: Results, spec: TrialSpec) -> dict[str, npt.NDArray[np.float64]]:
+    """Return the extras of a trial by column: the number of each episode so far, NaN where it has none."""
+    label = f"{spec.environment_label}."
+    episodes = len(results.measure(spec.id, "steps"))
+    columns = {}
+    for name, metric in results.metrics(spec.id).items():
+        if name.startswith(label):
+            column = columns[_column(name, label)] = np.full(episodes, np.nan)
+            known = (metric.episodes >= 1) & (metric.episodes <= episodes)  # another may have ended meanwhile
+            column[metric.episodes[known].astype(int) - 1] = metric.values[known]
+    return columns
+
+
+def _column(metric: str, label: str) -> str:
+    name = metric.removeprefix(label)
+    return f"extra.{name}" if name in _TAKEN or name.startswith(_OPTIONS) else name
+
 
 _EPISODE: Final[dict[str, type[Value]]] = {
     "trial": str,

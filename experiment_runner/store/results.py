@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.limits import COUNTS
+from experiment_runner.plan.limits import COUNTS, TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store import records
 from experiment_runner.store.database import Database, open_to_read, reported

@@ -17,16 +17,15 @@ from typing import Any, Final, NamedTuple
 from experiment_runner.competition.board.forms import LEGEND, as_json
 from experiment_runner.competition.board.standings import standings
 from experiment_runner.competition.course import course_of
-from experiment_runner.plan.ids import REMOTE
+from experiment_runner.plan.limits import REMOTE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.report.overview import Overview, as_object, overview
 from experiment_runner.store import layout
 from experiment_runner.store.database import DATABASE_FILES
-from experiment_runner.store.lock import lock_holder
+from experiment_runner.store.layout import lock_holder
 from experiment_runner.store.results import Results
 from experiment_runner.view.export import figures
-from experiment_runner.view.reader import Reader
-from experiment_runner.view.stream import Pulse, Topic
+from experiment_runner.view.stream import Pulse, Reader, Topic
 from glue.console import one_line, printable
 from glue.errors import ExperimentError
 from glue.files import read_regular

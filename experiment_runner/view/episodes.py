@@ -22,7 +22,7 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
 from experiment_runner.view.catalog import Catalog
-from experiment_runner.view.reader import Cache, Reader, as_json, json_response
+from experiment_runner.view.stream import Cache, Reader, as_json, json_response
 from glue.errors import ExperimentError, TaskSpecError
 from glue.taskspec import Bound, Ranges, parse_task_spec
 from glue.trajectory import Answer, Episode, TrajectoryError, TrajectoryReader

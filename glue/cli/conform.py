@@ -11,7 +11,7 @@ from typing import Final
 import click
 
 from glue import __version__
-from glue.conform.clients.process import TRANSPORTS, starter
+from glue.conform.clients.connection import TRANSPORTS, starter
 from glue.conform.rules import Outcome, Tier
 from glue.console import for_terminal, say
 from glue.errors import ConfigError

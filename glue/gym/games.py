@@ -17,8 +17,7 @@ from gymnasium import spaces
 
 from glue.engine.calls import role_calls
 from glue.errors import ConfigError, SimulatorError, described
-from glue.gym.codec import Codec, SpaceLike
-from glue.gym.masks import MaskCodec
+from glue.gym.codec import Codec, MaskCodec, SpaceLike
 from glue.gym.served import GymnasiumEnvironment
 from glue.gym.spaces import task_spec
 from glue.options import Option, keywords, option, with_options

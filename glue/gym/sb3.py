@@ -24,8 +24,7 @@ try:
 except ImportError:
     raise ConfigError("this needs Stable-Baselines3: pip install 'glue-rl[sb3]'") from None
 
-from glue.gym.codec import Codec
-from glue.gym.masks import MaskCodec
+from glue.gym.codec import Codec, MaskCodec
 from glue.gym.spaces import read_spaces
 from glue.gym.vectors import AutoresetMode, infos_of_step, split
 from glue.options import Option

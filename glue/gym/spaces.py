@@ -26,7 +26,7 @@ from gymnasium import spaces
 from glue.errors import ConfigError
 from glue.gym.codec import CHAR, DOUBLE, FLOATS, INT, INT32, Codec, SpaceLike
 from glue.taskspec import RL_GLUE_3, Range, Space, TaskSpec
-from glue.taskspec.spec import MASKS
+from glue.taskspec.parser import MASKS
 
 _MARK: Final = "LAYOUT "
 

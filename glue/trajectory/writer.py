@@ -15,7 +15,7 @@ import numpy as np
 from glue.closing import Closing
 from glue.errors import LocalProtocolError
 from glue.trajectory import limits, records
-from glue.trajectory.unpacked import GZIP, TrajectoryError
+from glue.trajectory.reader import GZIP, TrajectoryError
 from glue.types import AbstractType, Action, Observation
 
 _NO_EPISODE: Final = "no episode is open: a recording needs start() before its steps"

@@ -29,7 +29,7 @@ from experiment_runner.competition.records.journal import EVERYBODY, Act, time_t
 from experiment_runner.competition.season.schedule import queue
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.settings import Competition
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 

@@ -10,10 +10,8 @@ from collections.abc import Callable, Sequence, Set
 from typing import Final, NamedTuple, TypeVar
 
 from glue.conform.clients import mirror
-from glue.conform.clients.connection import Connection, Gone, Listener
-from glue.conform.clients.process import Client, Start
-from glue.conform.messages import described, difference, same
-from glue.conform.rules import Broken, NotJudged
+from glue.conform.clients.connection import Client, Connection, Gone, Listener, Start
+from glue.conform.rules import Broken, NotJudged, described, difference, same
 from glue.errors import RemoteProtocolError
 from glue.system import chance, clock
 from glue.wire import zmtp

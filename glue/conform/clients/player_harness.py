@@ -12,8 +12,7 @@ from glue.batches import Ragged, pack_actions, read_batch_task_spec
 from glue.client.bodies import READ, write
 from glue.conform.clients.harness import Exchange, Harness
 from glue.conform.clients.mirror import MirrorAgent, MirrorEnvironment
-from glue.conform.messages import described
-from glue.conform.rules import PLAYERS, Broken
+from glue.conform.rules import PLAYERS, Broken, described
 from glue.engine.calls import role_calls
 from glue.errors import GlueError
 from glue.taskspec import parse_task_spec

@@ -22,8 +22,7 @@ from glue.conform.clients.connection import Gone
 from glue.conform.clients.harness import MAX_BODY
 from glue.conform.clients.mirror import FAIL, FAILURE
 from glue.conform.clients.player_harness import SHOWN, SPEC, TASK, PlayerHarness
-from glue.conform.messages import described
-from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier
+from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier, described
 from glue.errors import GlueError, TaskSpecError
 from glue.taskspec import parse_task_spec
 from glue.types import CUT_OFF, Action, Observation

@@ -7,8 +7,7 @@ from typing import Final
 
 from glue.conform.forms import SPOILED, SPOILED_BODIES
 from glue.conform.hubs.scripted import TASK_SPEC, Scene, ScriptedPeer, did, number, reward, saw
-from glue.conform.messages import described
-from glue.conform.rules import Broken, Rules, Tier
+from glue.conform.rules import Broken, Rules, Tier, described
 from glue.types import Action, Observation
 from glue.wire.codec import TO_HUB, encode
 from glue.wire.messages import (

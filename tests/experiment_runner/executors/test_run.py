@@ -13,10 +13,20 @@ from experiment_runner.analysis.settings import collect
 from experiment_runner.cli.run_plan import resume_command
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.job import Job, Joined, Line, Lost, Recorded, Report
+from experiment_runner.executors.job import (
+    BOTH,
+    HubOptions,
+    Job,
+    Joined,
+    Line,
+    Lost,
+    Placement,
+    Recorded,
+    Report,
+    RunConfig,
+)
 from experiment_runner.executors.opening import open_run, remaining
 from experiment_runner.executors.run import RunCollector, run_trials
-from experiment_runner.executors.settings import BOTH, HubOptions, Placement, RunConfig
 from experiment_runner.executors.trial import run_job
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec

@@ -29,7 +29,7 @@ from experiment_runner.store.results import Results
 from experiment_runner.view.catalog import Catalog, run_in_full
 from experiment_runner.view.curves import Wanted, curves
 from experiment_runner.view.export import as_page
-from experiment_runner.view.reader import as_json
+from experiment_runner.view.stream import as_json
 
 HOSTILE = "=cmd|x\x1b[2J\r\u202e\x9b31m<b>\nError: forged"
 PLAN = Plan(episodes=1, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))

@@ -9,7 +9,7 @@ from gymnasium import spaces
 
 from glue.errors import ConfigError, SimulatorError
 from glue.gym.codec import Codec
-from glue.openenv.fields import read_schema
+from glue.openenv.environment import read_schema
 from glue.types import Observation
 
 SCHEMA: dict[str, Any] = {
