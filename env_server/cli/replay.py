@@ -21,8 +21,7 @@ from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
-    from env_server.replay.episodes import Moment, RecordedRun
-    from env_server.replay.golden import GoldenReader
+    from env_server.replay.episodes import GoldenReader, Moment, RecordedRun
     from glue.roles import Environment
     from glue.trajectory import TrajectoryReader
     from glue.types import Observation
@@ -160,7 +159,7 @@ class _Counted:
 
     @property
     def levels(self) -> int:
-        from env_server.replay.golden import GoldenReader
+        from env_server.replay.episodes import GoldenReader
 
         return self._reader.levels if isinstance(self._reader, GoldenReader) else 0
 

@@ -1,23 +1,95 @@
-"""One game for Python callers: a record of memory, the compiled rules that act on it, and observations."""
+"""One game for Python callers: memory, the compiled rules, observations; and a level as data.
+
+Events become a reward: an ordinary reward is the difference of two running totals, not a sum of increments: the last bits
+of the two differ. A terminal reward is paid instead of the earnings of the unfinished step.
+Source: RL-Competition 2009, Infinite Mario's check-in and its ends of an episode.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
-from typing import Final
+from itertools import zip_longest
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.level import Level, Spawn
 from env_server.mario.observation import BODY_SIZE, encode
 from env_server.mario.parameters import Parameters
-from env_server.mario.reward import ordinary_reward, terminal_reward
 from env_server.mario.sim import state
+from env_server.mario.sim.state import World
 from env_server.mario.sim.step import act, begin
 from env_server.mario.sim.tiles import CHANGED
-from glue.compiled.jit import announce_compilation, entry
+from glue.compiled.jit import announce_compilation, entry, jit
 from glue.errors import SimulatorError
 from glue.types import Observation
+
+
+class Spawn(NamedTuple):
+    """A spawn point of an enemy; `kind` is 0 red koopa, 1 green koopa, 2 goomba, 3 spiky, 4 piranha plant."""
+
+    column: int
+    row: int
+    kind: int
+    winged: bool
+
+
+class Level(NamedTuple):
+    """A level, as it is when an episode begins.
+
+    Attributes:
+        columns: width in tiles.
+        goal: the column to pass, and the row of the ground there.
+        rows: the tiles, highest row first; two hexadecimal digits per tile.
+        spawns: by column, then row.
+    """
+
+    columns: int
+    goal: tuple[int, int]
+    rows: tuple[str, ...]
+    spawns: tuple[Spawn, ...]
+
+
+def level_difference(expected: Level, got: Level) -> str:
+    """Return the first difference between two levels, in words; "" if there is none."""
+    for what, old, new in _pairs(expected, got):
+        if old != new:
+            return f"the level's {what}: expected {old!r}, got {new!r}"
+    return ""
+
+
+def _pairs(expected: Level, got: Level) -> Iterator[tuple[str, Any, Any]]:
+    """Yield every part of two levels by name; if only one level has a part, the other value is None."""
+    yield "width", expected.columns, got.columns
+    yield "goal", expected.goal, got.goal
+    for row, tiles in enumerate(zip_longest(expected.rows, got.rows, fillvalue="")):
+        for column, (old, new) in enumerate(zip_longest(*map(_codes, tiles))):
+            yield f"tile in column {column}, row {row}", old, new
+    for number, (spawn, ours) in enumerate(zip_longest(expected.spawns, got.spawns)):
+        yield f"spawn point {number}", spawn, ours
+
+
+def _codes(row: str) -> list[str]:
+    return [row[i : i + 2] for i in range(0, len(row), 2)]
+
+
+@jit
+def ordinary_reward(world: World) -> float:
+    """Return the reward earned since the last check-in, and note it as paid."""
+    total = (
+        world.reward_step * (world.steps - 1) + world.reward_coin * world.coins
+    ) + world.reward_kill * world.kills
+    reward = total - world.paid
+    world.paid = total
+    return reward
+
+
+@jit
+def terminal_reward(world: World) -> float:
+    """Return the reward of an episode's last step. Winning takes precedence over dying."""
+    return world.reward_goal if world.win_timer > 0 else world.reward_death
+
 
 Body = npt.NDArray[np.uint8]
 """Buffer for an observation as the body of an abstract type, shape (BODY_SIZE,)."""

@@ -32,7 +32,7 @@ from experiment_runner.executors.workers import LocalExecutor, RayExecutor
 from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Progress
-from experiment_runner.store.live_sessions import LiveSession, LiveSessions
+from experiment_runner.store.layout import LiveSession, LiveSessions
 from experiment_runner.store.records import OF_PLAYERS, UNSEEDED
 from experiment_runner.store.store import Store
 from glue.closing import Closing

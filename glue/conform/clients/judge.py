@@ -15,8 +15,7 @@ import numpy as np
 from glue.conform.clients import common_rules, experiment_rules, player_rules
 from glue.conform.clients.connection import Connection, Gone, Listener, Start
 from glue.conform.clients.experiment_harness import ExperimentHarness
-from glue.conform.clients.harness import BEAT, QUIET, Exchange, Harness
-from glue.conform.clients.player_harness import PlayerHarness
+from glue.conform.clients.harness import BEAT, QUIET, Exchange, Harness, PlayerHarness
 from glue.conform.rules import Broken, NotJudged, Outcome, Rule, Tier, Verdict
 from glue.system import clock
 from glue.wire import zmtp

@@ -19,9 +19,8 @@ from glue.batches import (
 )
 from glue.conform import forms
 from glue.conform.clients.connection import Gone
-from glue.conform.clients.harness import MAX_BODY
+from glue.conform.clients.harness import MAX_BODY, SHOWN, SPEC, TASK, PlayerHarness
 from glue.conform.clients.mirror import FAIL, FAILURE
-from glue.conform.clients.player_harness import SHOWN, SPEC, TASK, PlayerHarness
 from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier, described
 from glue.errors import GlueError, TaskSpecError
 from glue.taskspec import parse_task_spec

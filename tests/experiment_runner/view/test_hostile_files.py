@@ -24,8 +24,7 @@ from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_text, overview
 from experiment_runner.store.export import episode_table
-from experiment_runner.store.layout import clear, lock_holder, remove_run, runs_under
-from experiment_runner.store.live_sessions import live_sessions
+from experiment_runner.store.layout import clear, live_sessions, lock_holder, remove_run, runs_under
 from experiment_runner.store.merge import merge
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
