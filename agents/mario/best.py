@@ -236,8 +236,7 @@ class BestAgent(MarioAgent):
         *,
         epsilon: Annotated[float, Option("chance that an episode explores, at first", low=0, high=1)] = 1.0,
         horizon: Annotated[
-            int,
-            Option("when it begins to repeat the best episode only", low=1, high=10**9, unit="episodes"),
+            int, Option("when it begins to repeat the best episode only", low=1, high=10**9, unit="episodes")
         ] = 4800,
         hold: Annotated[
             float, Option("mean time an action is held while exploring", low=1, high=100, unit="steps")

@@ -20,14 +20,7 @@ from typing import Annotated, Any, ClassVar, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents.planner.agent import (
-    LARGEST,
-    RUN_RIGHT,
-    CountHorizons,
-    PlannerAgent,
-    Sims,
-    StepSeconds,
-)
+from agents.planner.agent import LARGEST, RUN_RIGHT, CountHorizons, PlannerAgent, Sims, StepSeconds
 from agents.planner.search import FRICTION, model
 from glue.compiled.jit import entry
 from glue.compiled.records import Array

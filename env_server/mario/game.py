@@ -1,7 +1,8 @@
 """One game for Python callers: memory, the compiled rules, observations; and a level as data.
 
-Events become a reward: an ordinary reward is the difference of two running totals, not a sum of increments: the last bits
-of the two differ. A terminal reward is paid instead of the earnings of the unfinished step.
+Events become a reward: an ordinary reward is the difference of two running totals, not a sum of
+increments: the last bits of the two differ. A terminal reward is paid instead of the earnings of the
+unfinished step.
 Source: RL-Competition 2009, Infinite Mario's check-in and its ends of an episode.
 """
 

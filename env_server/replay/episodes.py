@@ -325,9 +325,7 @@ def _seen(line: _Line, reward: float, terminal: bool) -> Observation | Digest:
         return recorded
     try:
         observation = Observation(
-            line.list_of("i", int),
-            line.list_of("d", float, int),
-            line.get("c", str).encode("latin-1"),
+            line.list_of("i", int), line.list_of("d", float, int), line.get("c", str).encode("latin-1")
         )
     except (GlueError, UnicodeEncodeError, OverflowError) as error:
         raise line.wrong(str(error)) from None

@@ -128,11 +128,7 @@ def gather(directory: Path) -> None:
 @click.command()
 @RUN
 @click.option(
-    "--to",
-    "logger",
-    type=click.Choice([*LOGGERS]),
-    required=True,
-    help="The program that shows the results.",
+    "--to", "logger", type=click.Choice([*LOGGERS]), required=True, help="The program that shows the results."
 )
 @click.option(
     "--project",

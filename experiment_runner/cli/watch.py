@@ -63,11 +63,7 @@ if TYPE_CHECKING:
     help="Episodes to play first, without showing them.",
 )
 @click.option(
-    "--max-steps",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    help="Step limit; 0 for none.",
+    "--max-steps", type=click.IntRange(0), default=0, show_default=True, help="Step limit; 0 for none."
 )
 @click.option(
     "--speed",

@@ -113,12 +113,7 @@ def over_hub(
             url = options.hub
             show_missing = hints(say, url, session, named.keys())
             glue = connect(
-                url,
-                session,
-                key=options.key,
-                hub_key=options.hub_key,
-                wait=options.wait,
-                on_notice=notice,
+                url, session, key=options.key, hub_key=options.hub_key, wait=options.wait, on_notice=notice
             )
         else:
             hub, url, show_missing = _start_hub(stack, placement, expected, named.keys(), spec.pace, say)

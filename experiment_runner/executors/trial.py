@@ -27,14 +27,7 @@ from experiment_runner.executors.job import (
 from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.recording import Extras, Meter, Recorder
 from experiment_runner.store.database import StorageError
-from experiment_runner.store.records import (
-    Checkpoint,
-    EndedEpisode,
-    EpisodeResult,
-    Reading,
-    ask,
-    measured,
-)
+from experiment_runner.store.records import Checkpoint, EndedEpisode, EpisodeResult, Reading, ask, measured
 from glue.console import show_failure
 from glue.engine.experiment import Experiment
 from glue.errors import (

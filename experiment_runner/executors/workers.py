@@ -30,16 +30,7 @@ from types import FrameType, TracebackType
 from typing import Any, Final, NamedTuple, NoReturn, Self
 
 from experiment_runner.executors.interrupts import Interrupts, Terminated
-from experiment_runner.executors.job import (
-    REPORTS,
-    Ended,
-    Lost,
-    decode,
-    decode_job,
-    encode,
-    unpack,
-    unpacker,
-)
+from experiment_runner.executors.job import REPORTS, Ended, Lost, decode, decode_job, encode, unpack, unpacker
 from experiment_runner.executors.trial import run_job
 from experiment_runner.processes.children import (
     FAREWELL_SECONDS,

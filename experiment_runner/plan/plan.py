@@ -283,9 +283,7 @@ def absolute(plan: Plan, folder: Path) -> Plan:
         return replace(sweep, name=located(sweep.name, folder))
 
     return replace(
-        plan,
-        environments=tuple(map(resolved, plan.environments)),
-        agents=tuple(map(resolved, plan.agents)),
+        plan, environments=tuple(map(resolved, plan.environments)), agents=tuple(map(resolved, plan.agents))
     )
 
 

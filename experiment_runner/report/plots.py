@@ -178,12 +178,7 @@ def step_window(window: int, totals: Iterable[Sequence[StepTotals]]) -> int:
 
 
 def _curves(
-    curves: Mapping[Key, Curve | None],
-    window: int,
-    unit: str,
-    label: str,
-    tolerance: bool,
-    layout: Layout,
+    curves: Mapping[Key, Curve | None], window: int, unit: str, label: str, tolerance: bool, layout: Layout
 ) -> Figure:
     drawn = {key: curve for key, curve in curves.items() if curve is not None}  # others are too short yet
     with _style():

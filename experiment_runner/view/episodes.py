@@ -70,10 +70,7 @@ def routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
         )
 
     cache = Cache()
-    return [
-        Route("/api/recordings/{run}", recordings),
-        Route("/api/episodes/{run}/{episode}", episode),
-    ]
+    return [Route("/api/recordings/{run}", recordings), Route("/api/episodes/{run}/{episode}", episode)]
 
 
 def described(task_spec: str) -> dict[str, Any]:

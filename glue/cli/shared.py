@@ -18,12 +18,7 @@ from typing import Any, Final, NoReturn, TypeVar
 
 import click
 
-from glue.cli.entry import (
-    EXIT_INTERRUPTED,
-    EXIT_TERMINATED,
-    Terminated,
-    is_stuck,
-)
+from glue.cli.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, is_stuck
 from glue.console import LOG, say
 from glue.errors import ConfigError, GlueError
 from glue.hub.config import HUB_KEY_VARIABLE, KEY_VARIABLE

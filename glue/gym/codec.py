@@ -166,11 +166,7 @@ class Codec:
         wrong = self.ranges_wrong(value)
         if wrong:
             raise SimulatorError(wrong)
-        runs: tuple[npt.NDArray[Any], ...] = (
-            value.ints,
-            value.doubles,
-            np.frombuffer(value.chars, np.uint8),
-        )
+        runs: tuple[npt.NDArray[Any], ...] = (value.ints, value.doubles, np.frombuffer(value.chars, np.uint8))
         at = [0, 0, 0]
         found = []
         for leaf, clips in zip(self.leaves, self._clips, strict=True):

@@ -60,10 +60,7 @@ def read_spaces(spec: TaskSpec) -> tuple[SpaceLike, SpaceLike]:
         return _plain(spec.observations), _plain(spec.actions)
     try:
         layout = json.loads(text)
-        return (
-            _read(layout["observation"], spec.observations),
-            _read(layout["action"], spec.actions),
-        )
+        return (_read(layout["observation"], spec.observations), _read(layout["action"], spec.actions))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigError(
             f"the layout in the task spec's EXTRA cannot be read ({type(error).__name__}): {text:.60}"

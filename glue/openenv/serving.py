@@ -95,12 +95,7 @@ def application(
     """
     model = _Models(make, name)
     app = create_fastapi_app(
-        model.environment,
-        model.action,
-        model.observation,
-        MAX_SESSIONS,
-        env_name=name,
-        mode="simulation",
+        model.environment, model.action, model.observation, MAX_SESSIONS, env_name=name, mode="simulation"
     )
     # Sessions over MCP have no connection whose end would end them, and environments of ours have no tools.
     app.router.routes[:] = [route for route in app.routes if getattr(route, "path", None) != "/mcp"]
