@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from glue.errors import ExperimentError
+from glue.installed import needing
 
 FloatArray = npt.NDArray[np.float64]
 Statistic = Callable[..., Any]
@@ -190,12 +191,8 @@ def _middle(found: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _scipy_stats() -> Any:
-    try:
+    with needing("plot", "t-tests and tolerance intervals need SciPy", ExperimentError):
         from scipy import stats  # type: ignore[import-untyped]  # it has no types
-    except ImportError:
-        raise ExperimentError(
-            "t-tests and tolerance intervals need SciPy: pip install 'glue-rl[plot]'"
-        ) from None
     return stats
 
 

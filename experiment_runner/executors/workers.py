@@ -43,6 +43,7 @@ from experiment_runner.processes.children import (
 )
 from experiment_runner.processes.warm import Warm
 from glue.errors import ConfigError, ExperimentError
+from glue.installed import needing
 
 _MODULE: Final = "experiment_runner.executors.workers"
 _CHUNK: Final = 2**18
@@ -348,10 +349,8 @@ def _check_cluster(address: str) -> None:
 
 
 def _import_ray() -> Any:
-    try:
+    with needing("ray", "running on Ray needs it"):
         import ray
-    except ImportError:
-        raise ConfigError("running on Ray needs it: pip install 'glue-rl[ray]'") from None
     return ray
 
 

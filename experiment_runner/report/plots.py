@@ -24,6 +24,7 @@ from experiment_runner.report.overview import FEW
 from experiment_runner.report.tables import counted
 from experiment_runner.store.export import written
 from glue.errors import ExperimentError
+from glue.installed import needing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -363,10 +364,8 @@ _NOTHING: Final = "there is nothing to draw yet: no episode is finished"
 
 @contextlib.contextmanager
 def _style() -> Iterator[None]:
-    try:
+    with needing("plot", "figures need matplotlib", ExperimentError):
         import matplotlib
-    except ImportError:
-        raise ExperimentError("figures need matplotlib: pip install 'glue-rl[plot]'") from None
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # independent of the user's own style
         matplotlib.rcParams.update(_STYLE)

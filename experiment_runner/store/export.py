@@ -33,6 +33,7 @@ from experiment_runner.store.records import MEASURES
 from experiment_runner.store.results import Results
 from glue.console import cell
 from glue.errors import ExperimentError
+from glue.installed import needing
 from glue.options import Value
 
 
@@ -227,11 +228,9 @@ def write_parquet(table: Table, path: Path) -> None:
     Raises:
         ExperimentError: pyarrow is not installed, or the file cannot be written.
     """
-    try:
+    with needing("parquet", "Parquet needs pyarrow", ExperimentError):
         import pyarrow as arrow
         from pyarrow import parquet
-    except ImportError:
-        raise ExperimentError("Parquet needs pyarrow: pip install 'glue-rl[parquet]'") from None
     types = table.types
     arrow_types = {bool: arrow.bool_(), int: arrow.int64(), float: arrow.float64(), str: arrow.string()}
     schema = arrow.schema([(name, arrow_types[types[name]]) for name in types])

@@ -15,6 +15,7 @@ from experiment_runner.store.export import episode_table
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
+from glue.installed import needing
 from glue.options import Value
 from glue.runs import RunData
 
@@ -51,17 +52,13 @@ class StoredRun(RunData):
         return f"<run {self.directory}: {len(self.trials)} trials, {episodes} episodes; {', '.join(self)}>"
 
     def to_pandas(self) -> pd.DataFrame:
-        try:
+        with needing("pandas", "to_pandas needs pandas", ExperimentError):
             import pandas as pd
-        except ImportError:
-            raise ExperimentError("to_pandas needs pandas: pip install 'glue-rl[pandas]'") from None
         return pd.DataFrame(dict(self._columns))
 
     def to_polars(self) -> pl.DataFrame:
-        try:
+        with needing("polars", "to_polars needs polars", ExperimentError):
             import polars as pl
-        except ImportError:
-            raise ExperimentError("to_polars needs polars: pip install 'glue-rl[polars]'") from None
         return pl.DataFrame(dict(self._columns))
 
 
