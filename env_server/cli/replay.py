@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from glue import __version__
+from glue.cli.shared import FILE
 from glue.console import one_line, say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
@@ -60,12 +61,7 @@ if TYPE_CHECKING:
     metavar="ID",
     help="Write all FILEs to a new dataset of Minari, as mines/sarsa-v0, and show nothing.",
 )
-@click.option(
-    "--parquet",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="OUT",
-    help="Write all FILEs to a table, and show nothing.",
-)
+@click.option("--parquet", type=FILE, metavar="OUT", help="Write all FILEs to a table, and show nothing.")
 @click.option(
     "--env",
     "name",

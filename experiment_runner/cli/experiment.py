@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -141,7 +140,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
 @click.option(
     "--plan",
     "plan_file",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     metavar="FILE",
     help="Plan in TOML; the five numbers above override it.",
 )
@@ -198,15 +197,12 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     "--insecure", is_flag=True, help="Allow --bind without --keys to addresses that other machines can reach."
 )
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Directory of the run. [default: a new one in runs/]",
+    "--out", type=shared.DIRECTORY, metavar="DIR", help="Directory of the run. [default: a new one in runs/]"
 )
 @click.option("--again", is_flag=True, help="Replace the run in --out and all of its results.")
 @click.option(
     "--resume",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=shared.DIRECTORY,
     metavar="DIR",
     help="Continue a run; more --episodes, --steps or --trials extend it.",
 )
@@ -233,7 +229,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
 )
 @click.option(
     "--record",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     metavar="FILE",
     help="Record every step of a single trial in this new file, for glue-replay.",
 )

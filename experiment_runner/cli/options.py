@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 from urllib.parse import urlsplit
 
 import click
 
 from experiment_runner.plan.limits import Backend
-from glue.cli.shared import prepare
+from glue.cli.shared import DIRECTORY, prepare
 from glue.errors import ConfigError, ExperimentError
 
 if TYPE_CHECKING:
@@ -28,8 +27,6 @@ _WHERE = {
     Backend.SLURM: "as a job array of SLURM",
 }
 
-DIRECTORY: Final = click.Path(path_type=Path, file_okay=False)
-FILE: Final = click.Path(path_type=Path, dir_okay=False)
 RUN: Final = click.argument("directory", metavar="RUN", type=DIRECTORY)
 RUNS: Final = click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=DIRECTORY)
 """Decorators of a command that takes one run, or several."""

@@ -14,7 +14,6 @@ import click
 from experiment_runner.analysis.settings import collect
 from experiment_runner.analysis.stats import FEW_TRIALS
 from experiment_runner.cli.options import (
-    DIRECTORY,
     RUN,
     RUNS,
     json_option,
@@ -27,6 +26,7 @@ from experiment_runner.report.markup import LATEX, MARKDOWN, paper_table
 from experiment_runner.report.overview import FEW, Overview, as_object, as_text, overview
 from experiment_runner.report.tables import format_table, terminal_width
 from experiment_runner.store.results import Results
+from glue.cli.shared import DIRECTORY
 from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError
 

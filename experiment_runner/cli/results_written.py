@@ -31,6 +31,7 @@ from experiment_runner.store.layout import STREAMS, remove_run
 from experiment_runner.store.merge import merge as merge_runs
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
+from glue.cli.shared import DIRECTORY, FILE
 from glue.console import did_you_mean, say
 from glue.errors import ConfigError, ExperimentError
 
@@ -40,9 +41,7 @@ from glue.errors import ConfigError, ExperimentError
 @click.option(
     "--format", "kind", type=click.Choice(["csv", "json", "parquet"]), default="csv", show_default=True
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), help="File. [default: standard output]"
-)
+@click.option("--out", type=FILE, help="File. [default: standard output]")
 @over_option
 @click.option(
     "--every",
@@ -93,9 +92,7 @@ def export(directory: Path, kind: str, out: Path | None, over: str, every: int |
 
 @click.command()
 @RUNS
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Directory of the new run."
-)
+@click.option("--out", required=True, type=DIRECTORY, help="Directory of the new run.")
 def merge(directories: tuple[Path, ...], out: Path) -> None:
     """Merge runs into a new one; the originals stay unchanged.
 
@@ -162,7 +159,7 @@ def stream(directory: Path, logger: str, project: str) -> None:
     "--out",
     "-o",
     required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="FILE",
     help="File to write; an existing file is replaced.",
 )

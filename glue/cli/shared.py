@@ -26,9 +26,12 @@ from glue.hub.config import HUB_KEY_VARIABLE, KEY_VARIABLE
 WAIT_VARIABLE: Final = "GLUE_WAIT"
 """The environment variable of the option `--wait`, in every command that has it."""
 
+DIRECTORY: Final = click.Path(path_type=Path, file_okay=False)
+FILE: Final = click.Path(path_type=Path, dir_okay=False)
+
 keys_option: Final = click.option(
     "--keys",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=DIRECTORY,
     metavar="DIR",
     help="Admit only the owners of the keys in DIR, in the roles of DIR/allow.toml, and encrypt everything. "
     "DIR is read again on SIGHUP.",
