@@ -137,7 +137,7 @@ def tried(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], 
 
 
 def in_words(used: Used, limits: Limits) -> str:
-    """Return what an entrant has used, as a line for its owner."""
+    """Return the resource usage of an entrant as a line for its owner."""
     parts = []
     if used.processor is not None:
         parts.append(f"{used.processor:.2f} s of processors")

@@ -109,7 +109,7 @@ def draw(secret: bytes, *names: str) -> int:
 
 
 class Level(NamedTuple):
-    """What a trial of a task has whoever plays it.
+    """The part of a trial of a task that is the same for all entrants.
 
     task, number  of the trial; number from 0
     environment   with the options that were drawn

@@ -186,7 +186,7 @@ class _Opponent:
 
 
 def _last(game: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-    """Return what the player whose turn it is observes, as Gymnasium's `step` does."""
+    """Return the observation of the player whose turn it is, as Gymnasium's `step` does."""
     observation, reward, terminated, truncated, info = game.last()
     if isinstance(observation, dict) and "observation" in observation:
         info = {**info, **observation}

@@ -52,7 +52,7 @@ _DID: Final = re.compile(
     r"ran out of time|used more than [\d.e+]+ s in all|took more than [\d.e+]+ s to initialise|"
     r"sent a malformed message"
 )
-"""What a hub says of an agent that has failed, after its name and before its own words."""
+"""The words of a hub between the name of an agent that has failed and the agent's own."""
 
 _TIMES: Final = 200
 _FLIPS: Final = 999
@@ -249,7 +249,7 @@ class _Played:
 
 
 class _Facts(NamedTuple):
-    """What the boards for all viewers are made of; `played` has each attempt's entrant and number."""
+    """The data of which the boards for all viewers are made; `played` has each attempt's entrant and number."""
 
     course: Course
     state: SeasonState
@@ -259,7 +259,7 @@ class _Facts(NamedTuple):
 
 @dataclass(slots=True)
 class _Placed:
-    """What places an entrant: the attempts that stand, by the time from which each does, with their scores.
+    """The attempts that place an entrant: those that stand, by the time from which each does, with their scores.
 
     Args:
         name: of the entrant.

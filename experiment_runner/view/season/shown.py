@@ -1,4 +1,4 @@
-"""What the page of a season shows, as JSON: the board, and each entrant with its attempts."""
+"""The contents of the page of a season as JSON: the board, and each entrant with its attempts."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class _Season(NamedTuple):
 
 
 class Views:
-    """What each viewer of a season may see. May be called from any thread.
+    """The contents of a season that each viewer may see. May be called from any thread.
 
     Args:
         directory: of the season.
@@ -94,7 +94,7 @@ class Views:
         )
 
     def feed(self) -> bytes:
-        """Return what happens in the season as an Atom feed."""
+        """Return the events of the season as an Atom feed."""
         with self._lock:
             return feed_of(self._season().boards.seen_by(PUBLIC))
 
