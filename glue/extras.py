@@ -26,7 +26,7 @@ MAX_EXTRAS_SIZE: Final = 2**16 - 1
 
 Extra = int | float | str | bytes | tuple[int, ...] | tuple[float, ...]
 GivenExtra = Extra | list[int] | list[float] | np.generic | npt.NDArray[Any]
-"""The values that an environment may give: also lists, and NumPy's numbers and one-dimensional arrays of numbers."""
+"""The values that an environment may give: also lists, and NumPy's numbers and their flat arrays."""
 
 _INT64: Final = range(-(2**63), 2**63)
 _ALLOWED: Final = "a number, a text, bytes, or a flat list of ints or of floats"

@@ -249,7 +249,7 @@ class _Played:
 
 
 class _Facts(NamedTuple):
-    """The data of which the boards for all viewers are made; `played` has each attempt's entrant and number."""
+    """The data of the boards for all viewers; `played` has each attempt's entrant and number."""
 
     course: Course
     state: SeasonState
@@ -259,7 +259,7 @@ class _Facts(NamedTuple):
 
 @dataclass(slots=True)
 class _Placed:
-    """The attempts that place an entrant: those that stand, by the time from which each does, with their scores.
+    """The standing attempts that place an entrant, by the time from which each does, with their scores.
 
     Args:
         name: of the entrant.

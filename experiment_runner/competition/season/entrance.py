@@ -1,4 +1,4 @@
-"""The requests of entrants' programs to a season, over HTTP: routes of the page's server, below `/season/api/`.
+"""Requests of entrants' programs to a season, over HTTP: routes of the page's server, below `/season/api/`.
 
     POST join       name, key, code, team: enrol; answers with hub_key, token and alias
     POST attempt    attempt: how it goes, or a new one
