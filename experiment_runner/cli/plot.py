@@ -104,9 +104,9 @@ def plot(
     from experiment_runner.report import plots
     from experiment_runner.report.sketch import sketches
     from experiment_runner.report.tables import counted
-    from experiment_runner.store.export import extra_columns
     from experiment_runner.store.records import MEASURES
     from experiment_runner.store.results import Results
+    from experiment_runner.store.run_data import extra_columns
 
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     if out is None and (kind != "curves" or over == "steps"):

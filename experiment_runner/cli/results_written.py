@@ -16,7 +16,11 @@ from experiment_runner.loggers import LOGGERS
 from experiment_runner.plan.plan import TrialSpec, length_of
 from experiment_runner.report.tables import counted
 from experiment_runner.store.database import reported
-from experiment_runner.store.export import (
+from experiment_runner.store.layout import STREAMS, remove_run
+from experiment_runner.store.merge import merge as merge_runs
+from experiment_runner.store.records import TrialRecord
+from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import (
     Cell,
     Table,
     episode_table,
@@ -27,10 +31,6 @@ from experiment_runner.store.export import (
     write_parquet,
     written,
 )
-from experiment_runner.store.layout import STREAMS, remove_run
-from experiment_runner.store.merge import merge as merge_runs
-from experiment_runner.store.records import TrialRecord
-from experiment_runner.store.results import Results
 from glue.cli.shared import DIRECTORY, FILE
 from glue.console import did_you_mean, say
 from glue.errors import ConfigError, ExperimentError

@@ -13,7 +13,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
 from experiment_runner.loggers.stream import Point, Source
-from experiment_runner.store.export import Cell
+from experiment_runner.store.run_data import Cell
 from glue.errors import ExperimentError
 
 _SECONDS: Final = 1e9

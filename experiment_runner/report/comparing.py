@@ -22,8 +22,8 @@ from experiment_runner.analysis.stats import (
 from experiment_runner.plan.plan import RoleSpec, plain
 from experiment_runner.report.overview import FEW
 from experiment_runner.report.tables import unfinished
-from experiment_runner.store.export import finite
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import finite
 from glue.errors import ExperimentError
 
 COLUMNS: Final = ("A less B", "trials", "difference of IQM", "95 %", "P(A > B)", "95 %")

@@ -16,10 +16,10 @@ import numpy as np
 from experiment_runner.analysis import stats
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.report.tables import counted, format_table, wrap
-from experiment_runner.store.export import finite
 from experiment_runner.store.layout import lock_holder
 from experiment_runner.store.records import OF_PLAYERS, TUNED, UNSEEDED, TrialRecord
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import finite
 from glue.console import one_line
 
 _WINDOW: Final = 100

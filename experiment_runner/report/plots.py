@@ -22,7 +22,7 @@ from experiment_runner.analysis.curves import Curve, StepTotals, of_metric, over
 from experiment_runner.analysis.stats import profile, tolerance_interval
 from experiment_runner.report.overview import FEW
 from experiment_runner.report.tables import counted
-from experiment_runner.store.export import written
+from experiment_runner.store.run_data import written
 from glue.errors import ExperimentError
 from glue.installed import needing
 

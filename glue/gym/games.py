@@ -17,9 +17,8 @@ from gymnasium import spaces
 
 from glue.engine.calls import role_calls
 from glue.errors import ConfigError, SimulatorError, described
-from glue.gym.codec import Codec, MaskCodec, SpaceLike
 from glue.gym.served import GymnasiumEnvironment
-from glue.gym.spaces import task_spec
+from glue.gym.spaces import Codec, MaskCodec, SpaceLike, task_spec
 from glue.options import Option, keywords, option, with_options
 from glue.plugins.loading import import_user_module, make_agent
 from glue.roles import Agent, MaskAgent, offers

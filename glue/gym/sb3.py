@@ -23,8 +23,7 @@ with needing("sb3", "this needs Stable-Baselines3"):
     import stable_baselines3
     from stable_baselines3.common.vec_env import VecEnv
 
-from glue.gym.codec import Codec, MaskCodec
-from glue.gym.spaces import read_spaces
+from glue.gym.spaces import Codec, MaskCodec, read_spaces
 from glue.gym.vectors import AutoresetMode, infos_of_step, split
 from glue.options import Option
 from glue.taskspec import parse_task_spec

@@ -22,8 +22,7 @@ from gymnasium.envs.registration import load_env_creator
 
 from glue.errors import ConfigError, SimulatorError, TaskSpecError
 from glue.global_seeds import seed_globals
-from glue.gym.codec import Codec, MaskCodec
-from glue.gym.spaces import task_spec
+from glue.gym.spaces import Codec, MaskCodec, task_spec
 from glue.options import Option, keywords, option, with_options
 from glue.plugins.loading import import_user_module
 from glue.roles import Environment
@@ -57,7 +56,7 @@ class GymnasiumEnvironment(Environment):
         make: makes the environment. It is called once by the constructor, for the spaces, and again after
             a cleanup.
         masks: whether observations have the mask of their info's `action_mask`, if there is one; see
-            `glue.gym.codec`.
+            `glue.gym.spaces`.
         infos: names of the values in an info that become extras.
 
     The capability `save` is offered if the environment itself has methods `env_save` and `env_load`, as in

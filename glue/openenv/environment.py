@@ -30,8 +30,7 @@ import numpy as np
 from gymnasium import spaces
 
 from glue.errors import ConfigError, SimulatorError, described
-from glue.gym.codec import INT32, Codec, SpaceLike
-from glue.gym.spaces import task_spec
+from glue.gym.spaces import INT32, Codec, SpaceLike, task_spec
 from glue.options import Option
 from glue.roles import Environment
 from glue.system.web import MOST_BYTES, NoAnswer, ask, is_address

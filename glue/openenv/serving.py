@@ -26,7 +26,7 @@ from pydantic import BaseModel, Field, create_model
 from glue.console import say
 from glue.errors import ConfigError
 from glue.gym.client import GlueEnv, wrap
-from glue.gym.codec import SpaceLike
+from glue.gym.spaces import SpaceLike
 from glue.hub.config import is_local
 from glue.roles import Environment
 

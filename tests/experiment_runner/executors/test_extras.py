@@ -19,10 +19,9 @@ from experiment_runner.plan.limits import REMOTE, TrialId
 from experiment_runner.plan.metrics import SUMMARIES, MetricsPlan, Summary
 from experiment_runner.plan.plan import RoleSpec, TrialSpec, differences
 from experiment_runner.plan.toml import SettingError
-from experiment_runner.store.export import episode_table
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult
 from experiment_runner.store.results import Results
-from experiment_runner.store.run_data import load_run
+from experiment_runner.store.run_data import episode_table, load_run
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError

@@ -31,9 +31,9 @@ from experiment_runner.executors.trial import run_job
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.report.progress import Progress
-from experiment_runner.store.export import metric_table
 from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import metric_table
 from experiment_runner.store.store import Store
 from glue.hub.config import LegacyPort
 from tests.system.runs import contents

@@ -8,7 +8,7 @@ import pytest
 from gymnasium import spaces
 
 from glue.errors import ConfigError, SimulatorError
-from glue.gym.codec import Codec
+from glue.gym.spaces import Codec
 from glue.openenv.environment import read_schema
 from glue.types import Observation
 
