@@ -13,14 +13,7 @@ import click
 
 from experiment_runner.analysis.settings import collect
 from experiment_runner.analysis.stats import FEW_TRIALS
-from experiment_runner.cli.options import (
-    RUN,
-    RUNS,
-    json_option,
-    over_option,
-    select_option,
-    selected,
-)
+from experiment_runner.cli import options
 from experiment_runner.report.comparing import COLUMNS, compared, left_out, needed, sensitivities
 from experiment_runner.report.markup import LATEX, MARKDOWN, paper_table
 from experiment_runner.report.overview import FEW, Overview, as_object, as_text, overview
@@ -33,7 +26,7 @@ from glue.errors import ConfigError, ExperimentError
 
 @click.command("list")
 @click.argument("folder", type=DIRECTORY, default="runs")
-@json_option
+@options.json_option
 def list_runs(folder: Path, as_json: bool) -> int:
     """List the runs in FOLDER (by default runs) and its subfolders.
 
@@ -68,15 +61,15 @@ def list_runs(folder: Path, as_json: bool) -> int:
 
 
 @click.command()
-@RUNS
+@options.RUNS
 @click.option(
     "--sort",
     type=click.Choice(["setting", "mean", "IQM", "converged"]),
     help="Column by which the settings are sorted: the best return or the earliest convergence first. "
     "[default: as in the plan]",
 )
-@over_option
-@json_option
+@options.over_option
+@options.json_option
 def show(directories: tuple[Path, ...], sort: str | None, over: str, as_json: bool) -> None:
     """Show the results of each RUN: a line for each setting, then failures and other events.
 
@@ -101,8 +94,8 @@ def show(directories: tuple[Path, ...], sort: str | None, over: str, as_json: bo
 @click.command()
 @click.argument("first", metavar="A", type=DIRECTORY)
 @click.argument("second", metavar="B", type=DIRECTORY)
-@over_option
-@json_option
+@options.over_option
+@options.json_option
 def compare(first: Path, second: Path, over: str, as_json: bool) -> None:
     """Compare the agents of two runs over the trials that both have: A less B, in each environment.
 
@@ -127,7 +120,7 @@ def compare(first: Path, second: Path, over: str, as_json: bool) -> None:
 
 
 @click.command("table")
-@RUNS
+@options.RUNS
 @click.option(
     "--format",
     "kind",
@@ -136,8 +129,8 @@ def compare(first: Path, second: Path, over: str, as_json: bool) -> None:
     show_default=True,
     help="For LaTeX, with the package booktabs, or for Markdown.",
 )
-@over_option
-@select_option
+@options.over_option
+@options.select_option
 def table_command(directories: tuple[Path, ...], kind: str, over: str, select: tuple[str, ...]) -> None:
     """Write the table of a paper: a row for each agent, a column for each environment of each RUN.
 
@@ -151,12 +144,12 @@ def table_command(directories: tuple[Path, ...], kind: str, over: str, select: t
     """
     with ExitStack() as stack:
         runs = [stack.enter_context(Results.open(directory)) for directory in directories]
-        settings = selected(collect(runs), select)
+        settings = options.selected(collect(runs), select)
     click.echo(paper_table(settings, over, LATEX if kind == "latex" else MARKDOWN))
 
 
 @click.command()
-@RUN
+@options.RUN
 @click.option("--difference", type=float, required=True, metavar="D", help="Difference of the mean returns.")
 @click.option(
     "--power",
@@ -166,7 +159,7 @@ def table_command(directories: tuple[Path, ...], kind: str, over: str, select: t
     show_default=True,
     help="Probability with which it is to be seen.",
 )
-@over_option
+@options.over_option
 def power(directory: Path, difference: float, chance: float, over: str) -> None:
     """Show how many trials of two agents are needed to detect a difference D, from a pilot RUN.
 
@@ -188,8 +181,8 @@ def power(directory: Path, difference: float, chance: float, over: str) -> None:
 
 
 @click.command()
-@RUN
-@over_option
+@options.RUN
+@options.over_option
 def sensitivity(directory: Path, over: str) -> None:
     """Show how sensitive each agent of a sweep over several environments is to its options.
 

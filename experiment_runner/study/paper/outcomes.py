@@ -14,13 +14,7 @@ from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.plan.plan import RoleSpec
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.results import Results
-from experiment_runner.study.paper.experiments import (
-    EXPERIMENTS,
-    PaperExperiment,
-    PaperLevel,
-    Published,
-    level_of,
-)
+from experiment_runner.study.paper import experiments
 from glue.engine.local import local
 from glue.errors import ExperimentError
 from glue.options import build
@@ -54,9 +48,9 @@ class LevelResults:
     episodes    number in all trials, also in unfinished ones
     """
 
-    experiment: PaperExperiment
+    experiment: experiments.PaperExperiment
     agent: str
-    level: PaperLevel
+    level: experiments.PaperLevel
     planned: int
     curves: stats.FloatArray
     values: tuple[int, ...]
@@ -66,7 +60,7 @@ class LevelResults:
     episodes: int = 0
 
     @property
-    def published(self) -> Published | None:
+    def published(self) -> experiments.Published | None:
         """The paper's numbers, None if it has none for this agent and level."""
         faithful = self.agent == self.experiment.agents[0].label
         return self.experiment.published.get(self.level.difficulty) if faithful else None
@@ -134,7 +128,7 @@ def load(directory: Path) -> list[LevelResults]:
         ExperimentError: one of the runs is not of this study, or cannot be read.
     """
     outcomes = []
-    for name, experiment in EXPERIMENTS.items():
+    for name, experiment in experiments.EXPERIMENTS.items():
         with reported(f"cannot read {directory / name}"):
             begun = holds_run(directory / name)
         if begun:
@@ -144,7 +138,7 @@ def load(directory: Path) -> list[LevelResults]:
     return outcomes
 
 
-def _outcome(experiment: PaperExperiment, setting: Setting, results: Results) -> LevelResults:
+def _outcome(experiment: experiments.PaperExperiment, setting: Setting, results: Results) -> LevelResults:
     spec = setting.trials[0].spec
     if spec.agent is None or spec.environment is None:
         raise ExperimentError(f"{results.directory} is not a run of experiment {experiment.name}")
@@ -153,7 +147,7 @@ def _outcome(experiment: PaperExperiment, setting: Setting, results: Results) ->
     return LevelResults(
         experiment,
         spec.agent.label,
-        level_of(spec.environment),
+        experiments.level_of(spec.environment),
         len(setting.trials),
         setting.curves(),
         values,

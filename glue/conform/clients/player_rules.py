@@ -7,16 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from glue.batches import (
-    Batch,
-    Ragged,
-    batch_task_spec,
-    pack_actions,
-    pack_batch,
-    read_batch_task_spec,
-    unpack_actions,
-    unpack_batch,
-)
+from glue import batches
 from glue.conform import forms
 from glue.conform.clients.connection import Gone
 from glue.conform.clients.harness import MAX_BODY, SHOWN, SPEC, TASK, PlayerHarness
@@ -435,15 +426,17 @@ _STEPS: Final = 60
 def acting(kit: PlayerHarness) -> None:
     """An agent is shown a batch, and answers with an action for each of its games."""
     kit.fresh()
-    kit.ask("INIT", body=batch_task_spec(_GAMES, TASK.decode()).encode())
+    kit.ask("INIT", body=batches.batch_task_spec(_GAMES, TASK.decode()).encode())
     for step, terminals in enumerate(([0, 0, 0], [0, 1, 2], [2, 2, 2], [1, 0, 1], [0, 0, 0])):
         values = [Observation([0])] * (_GAMES + terminals.count(CUT_OFF))
         rewards = np.zeros(_GAMES) if step == 0 else np.array([0.5, -0.25, 1.0])
-        body = pack_batch(Batch(rewards, np.array(terminals, np.int32), Ragged.of(values))).body
+        body = batches.pack_batch(
+            batches.Batch(rewards, np.array(terminals, np.int32), batches.Ragged.of(values))
+        ).body
         name, scalars = ("STEP", (float(rewards.sum()),)) if step else ("START", ())
         answer = _answer(kit, name, *scalars, body=body)
         try:
-            unpack_actions(Action.from_body(answer.body), _GAMES)
+            batches.unpack_actions(Action.from_body(answer.body), _GAMES)
         except GlueError as error:
             raise Broken(f"the actions of {_GAMES} games: {error}", described(answer)) from None
     kit.drop()  # The client's numbers are not those of the kit's own model.
@@ -455,7 +448,7 @@ def playing(kit: PlayerHarness) -> None:
     kit.fresh()
     text = _answer(kit, "INIT").body.decode()
     try:
-        games, inner = read_batch_task_spec(text)
+        games, inner = batches.read_batch_task_spec(text)
     except GlueError as error:
         raise Broken(f"the task spec of a batch: {error}", repr(text)) from None
     generator = np.random.default_rng(0)
@@ -466,7 +459,7 @@ def playing(kit: PlayerHarness) -> None:
         raise NotJudged(f"its task spec does not tell the legal actions: {error}") from None
     for _ in range(_STEPS):
         chosen = [Action(*actions.sample(generator)) for _ in range(games)]
-        _checked(_answer(kit, "STEP", body=pack_actions(Ragged.of(chosen)).body), games)
+        _checked(_answer(kit, "STEP", body=batches.pack_actions(batches.Ragged.of(chosen)).body), games)
     kit.drop()
 
 
@@ -481,7 +474,7 @@ def _answer(kit: PlayerHarness, name: str, *scalars: float, body: bytes = b"") -
 def _checked(answer: Message, games: int, start: bool = False) -> None:
     """Check the batch in the answer to ENV_START or ENV_STEP."""
     try:
-        rewards, terminals, _ = unpack_batch(Observation.from_body(answer.body))
+        rewards, terminals, _ = batches.unpack_batch(Observation.from_body(answer.body))
     except GlueError as error:
         raise Broken(f"a batch of {games} games: {error}", described(answer)) from None
     sum_of_rewards = math.fsum(rewards.tolist())
