@@ -24,6 +24,7 @@ class Played(NamedTuple):
     actions       T of them
     rewards       of each action
     terminal      whether the last step was terminal; otherwise the episode was truncated after it
+    late          whether each action was late (see `glue.pace`)
     """
 
     run: Run
@@ -31,6 +32,7 @@ class Played(NamedTuple):
     actions: list[Action]
     rewards: list[float]
     terminal: bool
+    late: list[bool]
 
 
 def played(readers: Sequence[TrajectoryReader]) -> Iterator[Played]:
@@ -52,6 +54,7 @@ def played(readers: Sequence[TrajectoryReader]) -> Iterator[Played]:
                 [step.action for step in episode.steps],
                 [step.reward for step in episode.steps],
                 episode.ending is Ending.TERMINAL,
+                [episode.is_late(step) for step in range(1, len(episode.steps) + 1)],
             )
     if empty:
         raise TrajectoryError(f"{', '.join(str(reader.path) for reader in readers)}: no episode that counts")
@@ -75,6 +78,7 @@ _SCHEMA: Final = arrow.schema(
         ("reward", arrow.float64()),
         ("terminal", arrow.bool_()),
         ("truncated", arrow.bool_()),
+        ("late", arrow.bool_()),
     ]
 )
 
@@ -128,6 +132,7 @@ def _table(episode: Played, run: int, number: int) -> Any:
         [*episode.rewards, None],
         [*ends, episode.terminal, None],
         [*ends, not episode.terminal, None],
+        [*episode.late, None],
     ]
     arrays = [arrow.array(column, field.type) for column, field in zip(columns, _SCHEMA, strict=True)]
     return arrow.table(arrays, _SCHEMA)

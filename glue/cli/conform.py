@@ -12,7 +12,7 @@ import click
 
 from glue import __version__
 from glue.cli.shared import FILE
-from glue.conform.clients.connection import TRANSPORTS, starter
+from glue.conform.clients.process import TRANSPORTS, starter
 from glue.conform.rules import Outcome, Tier
 from glue.console import for_terminal, say
 from glue.errors import ConfigError

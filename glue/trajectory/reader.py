@@ -6,6 +6,7 @@ import json
 import os
 import re
 import zlib
+from array import array
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -206,12 +207,16 @@ def _episode(
 ) -> records.Episode:
     """Read an episode from its first observation; `begin` is the offset of its first record."""
     start = Observation.from_body(unpacked.body(limits.MAX_BODY))
-    steps = records.Steps()
-    while (kind := unpacked.take(1)) in (records.STEP, records.TERMINAL_STEP, records.ANSWER):
+    steps, late = records.Steps(), array("I")
+    while (kind := unpacked.take(1)) in (records.STEP, records.TERMINAL_STEP, records.ANSWER, records.LATE):
         if kind == records.ANSWER:
             answers.append(_answer(unpacked, len(steps) + 1))
             _check_size(unpacked, begin, len(answers))
             continue
+        if kind == records.LATE:
+            late.append(len(steps) + 1)
+            if (kind := unpacked.take(1)) not in (records.STEP, records.TERMINAL_STEP):
+                raise unpacked.malformed(f"a record {kind!r} where a step is to follow")
         reward = unpacked.take(records.REWARD.size)
         action, observation = unpacked.action(limits.MAX_BODY), unpacked.body(limits.MAX_BODY)
         steps.append(reward, action, observation, kind == records.TERMINAL_STEP)
@@ -221,21 +226,27 @@ def _episode(
     ending = records.Ending.TERMINAL if kind == records.TERMINAL_STEP else records.ENDINGS.get(kind)
     if ending is None or kind == records.TERMINAL_END or (answers and answers[-1].step > len(steps)):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
-    return records.Episode(run, messages, start, steps, ending, tuple(answers))
+    return records.Episode(run, messages, start, steps, ending, tuple(answers), late or ())
 
 
 def _actions_only(
     unpacked: Unpacked, run: records.Run, messages: tuple[str, ...], answers: list[records.Answer], begin: int
 ) -> records.Episode:
     """Read an episode without observations; `begin` is the offset of its first record."""
-    steps = records.ActionSteps()
-    while (kind := unpacked.take(1)) == records.BLOCK:
+    steps, late = records.ActionSteps(), array("I")
+    while (kind := unpacked.take(1)) in (records.BLOCK, records.LATE_BLOCK):
+        before = len(steps)
         steps.append(_block(unpacked, begin + limits.MAX_EPISODE))
+        if kind == records.LATE_BLOCK:
+            count = len(steps) - before
+            bits = np.frombuffer(unpacked.take((count + 7) // 8), np.uint8)
+            places = np.flatnonzero(np.unpackbits(bits, count=count, bitorder="little"))
+            late.frombytes((places + before + 1).astype(np.uintc).tobytes())
         _check_size(unpacked, begin, 0)
     if kind not in records.ENDINGS or (kind == records.TERMINAL_END and not steps):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
     steps.end(kind == records.TERMINAL_END)
-    return records.Episode(run, messages, None, steps, records.ENDINGS[kind], tuple(answers))
+    return records.Episode(run, messages, None, steps, records.ENDINGS[kind], tuple(answers), late or ())
 
 
 def _block(unpacked: Unpacked, end: int) -> records.Block:

@@ -7,7 +7,7 @@ import math
 import struct
 from abc import abstractmethod
 from array import array
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -146,7 +146,8 @@ class ActionSteps(StepSequence):
 MAGIC: Final = b"GLUETRJ1"
 RUN, MESSAGE, START, STEP, TERMINAL_STEP, CUTOFF, VOID = b"R", b"M", b"O", b"S", b"T", b"C", b"V"
 ANSWER: Final = b"A"
-BEGIN, BLOCK, TERMINAL_END = b"B", b"P", b"E"  # of an actions-only episode
+BEGIN, BLOCK, LATE_BLOCK, TERMINAL_END = b"B", b"P", b"Q", b"E"  # of an actions-only episode
+LATE: Final = b"L"
 LENGTH: Final = struct.Struct("<I")
 COUNTS: Final = struct.Struct("<III")  # of a block: its steps, distinct actions and distinct rewards
 REWARD: Final = struct.Struct("<d")
@@ -205,6 +206,7 @@ class Episode:
         steps: the steps in order.
         ending: its end.
         answers: the agent's answers to messages during the episode.
+        late: the numbers, from 1, of the steps whose action was late (see `glue.pace`).
     """
 
     run: Run
@@ -213,6 +215,12 @@ class Episode:
     steps: Sequence[Transition]
     ending: Ending
     answers: tuple[Answer, ...] = ()
+    late: Sequence[int] = ()
+
+    def is_late(self, step: int) -> bool:
+        """Return whether the action of a step, counted from 1, was late."""
+        place = bisect_left(self.late, step)
+        return place < len(self.late) and self.late[place] == step
 
     @property
     def episode_return(self) -> float:

@@ -13,8 +13,8 @@ import pytest
 
 from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import connect
-from glue.conform.clients.connection import ClientProcess
 from glue.conform.clients.judge import judge
+from glue.conform.clients.process import ClientProcess
 from glue.conform.report import line
 from glue.conform.rules import Outcome, Tier
 from glue.engine.experiment import Experiment

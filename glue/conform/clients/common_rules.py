@@ -9,7 +9,8 @@ from typing import Final
 from glue.conform import forms
 from glue.conform.clients.connection import Connection, Gone
 from glue.conform.clients.harness import BEAT, MAX_BODY, Exchange, Harness
-from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier, described
+from glue.conform.messages import described
+from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.system import clock
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode

@@ -14,7 +14,8 @@ from glue.conform.clients.connection import Gone
 from glue.conform.clients.experiment_harness import BOTH, DONE, SEEN, SPEC, ExperimentHarness, Order
 from glue.conform.clients.harness import MAX_BODY, Harness
 from glue.conform.clients.mirror import result
-from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier, described, same
+from glue.conform.messages import described, same
+from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.types import CUT_OFF, AbstractType, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
 from glue.wire.messages import EXTRAS, MASK, OUTCOME, ErrorCode, Event, Kind, Message, Role

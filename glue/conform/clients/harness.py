@@ -15,9 +15,11 @@ import numpy as np
 from glue.batches import Ragged, pack_actions, read_batch_task_spec
 from glue.client.bodies import READ, write
 from glue.conform.clients import mirror
-from glue.conform.clients.connection import Client, Connection, Gone, Listener, Start
+from glue.conform.clients.connection import Connection, Gone, Listener
 from glue.conform.clients.mirror import MirrorAgent, MirrorEnvironment
-from glue.conform.rules import PLAYERS, Broken, NotJudged, described, difference, same
+from glue.conform.clients.process import Client, Start
+from glue.conform.messages import described, difference, same
+from glue.conform.rules import PLAYERS, Broken, NotJudged
 from glue.engine.calls import role_calls
 from glue.errors import GlueError, RemoteProtocolError
 from glue.system import chance, clock

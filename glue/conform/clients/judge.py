@@ -13,9 +13,10 @@ from typing import Final
 import numpy as np
 
 from glue.conform.clients import common_rules, experiment_rules, player_rules
-from glue.conform.clients.connection import Connection, Gone, Listener, Start
+from glue.conform.clients.connection import Connection, Gone, Listener
 from glue.conform.clients.experiment_harness import ExperimentHarness
 from glue.conform.clients.harness import BEAT, QUIET, Exchange, Harness, PlayerHarness
+from glue.conform.clients.process import Start
 from glue.conform.rules import Broken, NotJudged, Outcome, Rule, Tier, Verdict
 from glue.system import clock
 from glue.wire import zmtp

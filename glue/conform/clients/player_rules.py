@@ -12,7 +12,8 @@ from glue.conform import forms
 from glue.conform.clients.connection import Gone
 from glue.conform.clients.harness import MAX_BODY, SHOWN, SPEC, TASK, PlayerHarness
 from glue.conform.clients.mirror import FAIL, FAILURE
-from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier, described
+from glue.conform.messages import described
+from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier
 from glue.errors import GlueError, TaskSpecError
 from glue.taskspec import parse_task_spec
 from glue.types import CUT_OFF, Action, Observation

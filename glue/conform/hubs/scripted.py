@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from glue.client.libzmq import Context, DealerTransport
-from glue.conform.rules import Broken, described
+from glue.conform.messages import described
+from glue.conform.rules import Broken
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.system import chance, clock

@@ -198,10 +198,7 @@ def seen(terminal: tuple[TextIO, int]) -> str:
     ],
 )
 def test_color_where_the_terminal_has_it_and_nobody_objects(
-    terminal: tuple[TextIO, int],
-    monkeypatch: pytest.MonkeyPatch,
-    variables: dict[str, str],
-    expected: bool,
+    terminal: tuple[TextIO, int], monkeypatch: pytest.MonkeyPatch, variables: dict[str, str], expected: bool
 ) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
     for name, value in variables.items():

@@ -86,7 +86,7 @@ def test_a_record_names_its_level_not_where_it_is(folder: Path, run: Callable[..
         writer.end(Ending.CUTOFF)
         writer.close()
     assert begun.options["level"] == ("one.txt" if run is recorded_run else str(folder / "one.txt"))
-    ((ending, steps, _),), _ = replay_trial(spec, path)
+    ((ending, steps, *_),), *_ = replay_trial(spec, path)
     assert (ending, steps) == (Ending.CUTOFF, 5)
 
 

@@ -16,15 +16,7 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
 from glue.client.libzmq import Relay, new_pair
 from glue.client.players import serve_agent
-from glue.client.season import (
-    Membership,
-    Page,
-    Progress,
-    Season,
-    SeasonBusy,
-    SeasonRefused,
-    read_membership,
-)
+from glue.client.season import Membership, Page, Progress, Season, SeasonBusy, SeasonRefused, read_membership
 from glue.client.target import OwnKey, Target
 from glue.errors import ConfigError
 from glue.hub.config import Bind, HubConfig, Keys, Permit

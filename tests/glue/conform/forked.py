@@ -6,8 +6,8 @@ import time
 from typing import cast
 
 from glue import AgentLike, EnvironmentLike, serve_agent, serve_environment
-from glue.conform.clients.connection import Start, is_awake
 from glue.conform.clients.mirror import run_mirror
+from glue.conform.clients.process import Start, is_awake
 from glue.errors import GlueError
 from glue.wire.messages import Role
 from tests.forked import Recorded

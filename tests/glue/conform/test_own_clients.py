@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from glue.conform.clients.connection import starter
 from glue.conform.clients.judge import judge
+from glue.conform.clients.process import starter
 from glue.conform.report import line
 from glue.conform.rules import Outcome, Requirement
 from glue.wire.messages import THREE_ROLES, Role

@@ -154,6 +154,16 @@ def test_a_delayed_action_is_carried_out_so_many_steps_later(pace: Pace, made: l
         assert glue.late_actions() == 0
 
 
+def test_a_delayed_action_that_is_late_counts_when_it_is_carried_out() -> None:
+    glue, _ = begun(Pace(rate=1.0, delay=2), 0.0, 1.5, length=9)
+    glue.rl_start()
+    counts = []
+    for _ in range(4):
+        glue.rl_step()
+        counts.append(glue.late_actions())
+    assert counts == [0, 0, 1, 1]  # at 1 s nothing has been answered
+
+
 def test_half_steps_have_the_same_pace() -> None:
     glue, _ = begun(Pace(rate=1.0), 0.0, 1.5)
     glue.rl_start()

@@ -58,6 +58,7 @@ class Made:
         self.acts: list[Act] = []
         self.outcomes: dict[str, TrialEnd] = {}
         self.verdicts: dict[str, ReplayVerdict] = {}
+        self.late: dict[str, tuple[int, int]] = {}
         for name in names:
             self.act(journal.ENROL, name, player=f"{name}.pub", id=f"key of {name}", alias=f"alias of {name}")
 
@@ -107,7 +108,7 @@ class Made:
 
     def board(self, viewer: str = PUBLIC) -> SeasonBoard:
         """Return the board now."""
-        return Boards(self.course, self.outcomes, self.verdicts, self.now).seen_by(viewer)
+        return Boards(self.course, self.outcomes, self.verdicts, self.late, self.now).seen_by(viewer)
 
     def rows(self, viewer: str = PUBLIC) -> dict[str, EntrantRow]:
         """Return the rows of the board by what they show."""

@@ -14,12 +14,7 @@ from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.journal import ENROL, OVER, REQUEST, START, Act, act
 from experiment_runner.competition.records.record import RecordFile, record_path
 from experiment_runner.competition.records.replay import made_for
-from experiment_runner.competition.records.seal import (
-    add_trials,
-    record_acts,
-    record_outcome,
-    record_verdict,
-)
+from experiment_runner.competition.records.seal import add_trials, record_acts, record_outcome, record_verdict
 from experiment_runner.competition.records.verify import judge
 from experiment_runner.competition.settings import parse_competition
 from experiment_runner.competition.trials import attempt_trials, levels
