@@ -86,7 +86,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "experiment_runner/competition/starters.py",  # passes it on
             "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
-            "glue/conform/clients/connection.py",  # passes it on
+            "glue/conform/clients/process.py",  # passes it on
         ),
     ),
 }
