@@ -79,11 +79,16 @@ class Entrance:
         return reply
 
     def headers(
-        self, content: bytes = b"{}", what: str = "attempt", pair: KeyPair | None = None, method: str = "POST"
+        self,
+        content: bytes = b"{}",
+        what: str = "attempt",
+        pair: KeyPair | None = None,
+        method: str = "POST",
+        now: float | None = None,
     ) -> dict[str, str]:
         """Return the headers of a request of alice."""
         digest = hashlib.sha256(content).hexdigest()
-        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, time.time())
+        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, now or time.time())
 
     def ask(
         self, content: bytes = b"{}", headers: Mapping[str, str] | None = None, what: str = "attempt"
