@@ -212,13 +212,13 @@ def hold(
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
     with ExitStack() as stack:
-        if gate is not None:
-            stack.enter_context(reserve(gate.bind))
         held = stack.enter_context(Held(store, competition, secret, say, gate))
         interrupts = stack.enter_context(Interrupts())
         executor = LocalExecutor(workers, MODULE, REPORTS, warm=[task.env for task in competition.tasks])
         dispatcher = Dispatcher(executor, held, interrupts)
         held.begin(dispatcher)
+        if gate is not None and held.matches:
+            stack.enter_context(reserve(gate.bind))
         dispatcher.run((), lambda: visit(held, 0 if dispatcher.running else _IDLE_SECONDS))
     wanted = set(held.course.trials)
     return sum(record.failure is not None for record in store.trials() if record.spec.id in wanted)
