@@ -27,7 +27,6 @@ from glue.wire.zmtp import (
     HandshakeRefused,
     OtherMechanism,
     encode,
-    split,
 )
 from tests.glue.wire.test_zmtp import events
 from tests.scripted.curve import GREETING as CLIENT_GREETING
@@ -87,8 +86,7 @@ def test_a_message_of_two_frames_is_opened_as_a_whole(header: int, body: int) ->
     frames = [bytes(range(header)), bytes(i % 251 for i in range(body))]
     for _ in range(2):
         message = mechanism.open_message(client.message(frames[0], 1) + client.message(frames[1]))
-        assert message == encode(frames)
-        assert split(message) == frames
+        assert message == tuple(frames)
 
 
 def anything_else(client: CurveClient) -> dict[str, bytes]:
@@ -113,7 +111,7 @@ def test_anything_else_is_left_to_the_decoder(what: str) -> None:
     decoder, client = connected(mechanism)
     data = anything_else(client)[what]
     received = mechanism._received
-    assert mechanism.open_message(data) == b""
+    assert mechanism.open_message(data) is None
     assert mechanism._received == received
     events(decoder, data)
 
@@ -125,9 +123,9 @@ def test_each_changed_bit_is_found_and_the_message_itself_can_still_be_read() ->
     for at in range(8 * len(data)):
         changed = bytearray(data)
         changed[at // 8] ^= 1 << at % 8
-        assert mechanism.open_message(bytes(changed)) == b"", f"bit {at}"
-    assert mechanism.open_message(data) == encode([b"header", b"body of a step"])
-    assert mechanism.open_message(data) == b"", "a replay"
+        assert mechanism.open_message(bytes(changed)) is None, f"bit {at}"
+    assert mechanism.open_message(data) == (b"header", b"body of a step")
+    assert mechanism.open_message(data) is None, "a replay"
 
 
 def test_messages_go_both_ways_with_their_flags_encrypted() -> None:
