@@ -34,7 +34,7 @@ from typing import Final, NamedTuple
 
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.system import chance
-from glue.wire.zmtp import LONG_HEAD, MAX_SHORT, MORE, SHORT_HEAD, HandshakeRefused, head
+from glue.wire.zmtp import LONG_HEAD, MORE, SHORT_HEAD, HandshakeRefused, head
 
 try:
     from nacl._sodium import ffi, lib
@@ -70,8 +70,11 @@ _MESSAGE: Final = b"\x07MESSAGE"
 _MAC: Final = 16
 """Overhead of a box over its content, in bytes."""
 
-_MAX_BUFFERED: Final = 3840
-"""Maximum size of a message that is sealed or opened in a connection's buffer: a typical observation fits."""
+_BUFFER: Final = 4096
+"""Size in bytes of the buffer in which a connection seals and opens boxes."""
+
+_MAX_BUFFERED: Final = _BUFFER - 512
+"""Maximum size of a body to be sealed and of a message to be opened there: a typical observation fits."""
 
 _LAST_AT: Final = 256
 """Where the last of two boxes is opened in the buffer, behind the first one."""
@@ -90,9 +93,6 @@ _NONCE: Final = struct.Struct(">Q")
 _UNSEALED: Final = struct.Struct(">Q16xB")
 """A MESSAGE between its name and the frame in it: its nonce, the authenticator of its box, and the flags."""
 
-_SHORT_HEADS: Final = 2 * SHORT_HEAD.size
-_SHORT_AND_LONG_HEAD: Final = SHORT_HEAD.size + LONG_HEAD.size
-
 _BOX_NONCE: Final = struct.Struct(">16sQ")
 """The nonce of a box: a prefix, and the number that its message has in its place."""
 
@@ -108,31 +108,33 @@ class _Layout(NamedTuple):
     `unpack` unpacks `start`, a nonce, a box, and the same again.
     """
 
+    size: int
+    last_box: int
     start: bytes
     middle: bytes
     pack_into: Callable[..., None]
     unpack: Callable[[bytes], tuple[bytes, ...]]
-    last_box: int
 
 
 @lru_cache(1024)
-def _layout(first: int, whole: int) -> _Layout | None:
-    """Return the layout of a message of `whole` bytes, `first` of them in the first frame behind its head.
+def _layout(size: int, last_size: int) -> _Layout:
+    """Return the layout of a message by the sizes of its frames."""
+    start, middle = (head(0, frame + _LEAST_MESSAGE) + _MESSAGE for frame in (size, last_size))
+    unsealed = struct.Struct(f">{len(start)}sQ16xB{size}s{len(middle)}sQ16xB{last_size}s")
+    box, last_box = _MAC + 1 + size, _MAC + 1 + last_size
+    sealed = struct.Struct(f">{len(start)}s8s{box}s{len(middle)}s8s{last_box}s")
+    return _Layout(sealed.size, sealed.size - last_box, start, middle, unsealed.pack_into, sealed.unpack)
 
-    Return None if there is none: a frame is too small for a MESSAGE, or the first one is not short.
-    """
-    rest = whole - SHORT_HEAD.size - first
-    last = rest - (SHORT_HEAD if rest <= SHORT_HEAD.size + MAX_SHORT else LONG_HEAD).size
-    if not _LEAST_MESSAGE <= first <= MAX_SHORT or last < _LEAST_MESSAGE:
-        return None
-    start, middle = head(0, first) + _MESSAGE, head(0, last) + _MESSAGE
-    if len(middle) - len(_MESSAGE) + last != rest:
-        return None  # a long head is never that of a short frame
-    begin, then = f">{len(start)}s", f"{len(middle)}s"
-    unsealed = f"{begin}Q16xB{first - _LEAST_MESSAGE}s{then}Q16xB{last - _LEAST_MESSAGE}s"
-    sealed = f"{begin}8s{first - _BOX_AT}s{then}8s{last - _BOX_AT}s"
-    pack_into, unpack = struct.Struct(unsealed).pack_into, struct.Struct(sealed).unpack
-    return _Layout(start, middle, pack_into, unpack, whole - last + _BOX_AT)
+
+@lru_cache(1024)
+def _layout_of(first: int, whole: int) -> _Layout | None:
+    """Return the layout of `whole` bytes of which the second is `first`; None if there is none."""
+    size = first - _LEAST_MESSAGE
+    for last_head in (SHORT_HEAD, LONG_HEAD):
+        last_size = whole - SHORT_HEAD.size - first - last_head.size - _LEAST_MESSAGE
+        if size >= 0 and last_size >= 0 and (layout := _layout(size, last_size)).size == whole:
+            return layout
+    return None
 
 
 def public_key(secret: bytes) -> bytes:
@@ -170,7 +172,7 @@ class _Curve:
     def _agree(self, key: bytes) -> None:
         """Set the key of C' and S', and make room to open boxes: strangers do not come this far."""
         self._key = key
-        self._buffer = ffi.new("unsigned char[]", _LAST_AT + _MAX_BUFFERED)
+        self._buffer = ffi.new("unsigned char[]", _BUFFER)
         self._view = ffi.buffer(self._buffer)
         self._last_opened = self._buffer + _LAST_AT
         self._first_box = self._buffer + (SHORT_HEAD.size + _BOX_AT)
@@ -200,7 +202,7 @@ class _Curve:
 
         Return None if it is anything else, or in doubt; then nothing has changed, and `decrypt` decides.
         """
-        layout = _layout(data[1], len(data)) if 1 < len(data) <= _MAX_BUFFERED else None
+        layout = _layout_of(data[1], len(data)) if 1 < len(data) <= _MAX_BUFFERED else None
         if layout is None:
             return None
         start, nonce, box, middle, last_nonce, last_box = layout.unpack(data)
@@ -218,15 +220,23 @@ class _Curve:
         self._received = last_nonce
         return view[1 : size - _MAC], view[_LAST_AT + 1 : _LAST_AT + last_size - _MAC]
 
-    def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytes | bytearray:
+    def seal_message(self, header: bytes, body: bytes) -> bytes | bytearray:
+        """Return the bytes of a message of two frames, the first of at most 222 bytes."""
+        size, last_size = len(header), len(body)
+        if last_size > _MAX_BUFFERED:
+            return self.encode((header, body))
+        whole, last_box_at, start, middle, pack_into, _ = _layout(size, last_size)
+        view, key, prefix = self._view, self._key, self._prefix
+        box, last_box = self._first_box, self._buffer + last_box_at
+        self._sent = sent = self._sent + 2
+        pack_into(view, 0, start, sent - 1, MORE, header, middle, sent, 0, body)
+        _seal(box, self._first_content, 1 + size, _BOX_NONCE.pack(prefix, sent - 1), key)
+        _seal(last_box, last_box + _MAC, 1 + last_size, _BOX_NONCE.pack(prefix, sent), key)
+        message: bytes = view[:whole]
+        return message
+
+    def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytearray:
         """Return the bytes of a message of at least one frame, the last of which has these flags."""
-        if len(frames) == 2:
-            header, body = frames
-            first, last = len(header) + _LEAST_MESSAGE, len(body) + _LEAST_MESSAGE
-            whole = first + last + (_SHORT_HEADS if last <= MAX_SHORT else _SHORT_AND_LONG_HEAD)
-            layout = _layout(first, whole) if whole <= _MAX_BUFFERED else None
-            if layout is not None:
-                return self._seal_pair(layout, whole, header, body, flags)
         parts: list[bytes] = []
         boxes: list[tuple[int, int, bytes]] = []  # where each begins, the size of its content, and its nonce
         at, left, sent = 0, len(frames), self._sent
@@ -244,23 +254,6 @@ class _Curve:
         begin, key = ffi.from_buffer(message), self._key
         for at, size, nonce in boxes:
             _seal(begin + at, begin + (at + _MAC), size, nonce, key)
-        return message
-
-    def _seal_pair(self, layout: _Layout, whole: int, header: bytes, body: bytes, flags: int) -> bytes:
-        """Return the bytes of a message of two frames."""
-        start, middle, pack_into, _, at = layout
-        view, prefix, key, box, last_box = (
-            self._view,
-            self._prefix,
-            self._key,
-            self._first_box,
-            self._buffer + at,
-        )
-        self._sent = sent = self._sent + 2
-        pack_into(view, 0, start, sent - 1, MORE, header, middle, sent, flags, body)
-        _seal(box, self._first_content, 1 + len(header), _BOX_NONCE.pack(prefix, sent - 1), key)
-        _seal(last_box, last_box + _MAC, 1 + len(body), _BOX_NONCE.pack(prefix, sent), key)
-        message: bytes = view[:whole]
         return message
 
     def _count(self, nonce: bytes) -> None:

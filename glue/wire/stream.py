@@ -182,9 +182,8 @@ class Stream:
             head = form.head(seq, scalars, len(body))
             if self._mechanism is None:
                 return head, body
-            frames: Sequence[bytes] = (head[2 : 2 + head[1]], body)
-        else:
-            frames = encode(message, self._outgoing)
+            return self._mechanism.seal_message(head[2 : 2 + head[1]], body), b""
+        frames = encode(message, self._outgoing)
         if self._mechanism is not None:
             return self._mechanism.encode(frames), b""
         return zmtp.encode_parts(frames)

@@ -164,7 +164,11 @@ class Mechanism(Protocol):
         """
         ...
 
-    def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytes | bytearray:
+    def seal_message(self, header: bytes, body: bytes) -> bytes | bytearray:
+        """Return the bytes of a message of two frames, the first of at most 222 bytes."""
+        ...
+
+    def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytearray:
         """Return the bytes of a message of at least one frame, the last of which has these flags."""
         ...
 
