@@ -147,7 +147,8 @@ class StepReader:
     """Recognises the messages of one format, and remembers the shape of one of them.
 
     Most messages differ from an earlier one only in their number, their scalars and the elements of their
-    body. Two comparisons of bytes then replace all other checks.
+    body. Two comparisons of bytes then replace all other checks. A reader is used either with `read`, for the
+    bytes of ZMTP, or with `read_frames` and `learn`, for decrypted frames.
 
     Args:
         form: the format.
@@ -245,7 +246,7 @@ class StepReader:
         return Message(self._kind, self._session, seq, tuple(scalars), data[body_at:end])
 
     def read_frames(self, header: bytes, body: bytes, max_body: int) -> Message | None:
-        """Return the message in two frames, if its header is like the one that `learn` has learned."""
+        """Return the message in two frames, if its header is like the one learned, and its body valid."""
         try:
             if not self._num_scalars:
                 start, seq = self._unpack(header)
@@ -269,11 +270,10 @@ class StepReader:
 
     def learn(self, message: Message, header: bytes) -> None:
         """Remember the header of a decoded message for `read_frames`, if it is in this format."""
-        form, (kind, session, seq, scalars, body) = self._form, message
+        form, (kind, _, seq, scalars, body) = self._form, message
         # A number of a single byte has no fixed first byte to compare.
         if (
             kind is self._kind
-            and session == self._session
             and 2**_MAX_FIXED <= seq <= form.max_seq
             and form.head(seq, scalars, 0)[_HEAD:-_HEAD] == header
         ):

@@ -27,6 +27,7 @@ from glue.wire.zmtp import (
     HandshakeRefused,
     OtherMechanism,
     encode,
+    head,
 )
 from tests.glue.wire.test_zmtp import events
 from tests.scripted.curve import GREETING as CLIENT_GREETING
@@ -89,6 +90,23 @@ def test_a_message_of_two_frames_is_opened_as_a_whole(header: int, body: int) ->
         assert message == tuple(frames)
 
 
+@pytest.mark.parametrize("header", [0, 1, 30, 222])
+@pytest.mark.parametrize("body", [0, 1, 222, 223, 255, 256, 3584, 4000])
+def test_a_message_of_two_frames_is_sealed_as_a_whole(header: int, body: int) -> None:
+    mechanism = server()
+    _, client = connected(mechanism)
+    for fill in range(3):
+        frames = [bytes([fill]) * header, bytes([fill]) * body]
+        sealed = bytes(mechanism.seal_message(*frames))
+        first, rest = sealed[2 : 2 + sealed[1]], sealed[2 + sealed[1] :]
+        last = rest[9:] if rest[0] else rest[2:]
+        assert [client.read(first), client.read(last)] == [(1, frames[0]), (0, frames[1])]
+        assert rest[: -len(last)] == head(0, len(last))
+        assert [frame[8:16] for frame in (first, last)] == [
+            struct.pack(">Q", number) for number in (2 * fill + 2, 2 * fill + 3)
+        ], "numbers follow that of READY, and none is used twice"
+
+
 def anything_else(client: CurveClient) -> dict[str, bytes]:
     """Return data that a client may send, and that is not one message of two frames."""
     first, last = client.message(b"header", 1), client.message(b"body")
@@ -126,6 +144,21 @@ def test_each_changed_bit_is_found_and_the_message_itself_can_still_be_read() ->
         assert mechanism.open_message(bytes(changed)) is None, f"bit {at}"
     assert mechanism.open_message(data) == (b"header", b"body of a step")
     assert mechanism.open_message(data) is None, "a replay"
+
+
+@pytest.mark.parametrize("order", ["a replayed first frame", "an older last frame"])
+def test_frames_of_two_messages_are_not_one(order: str) -> None:
+    mechanism = server()
+    decoder, client = connected(mechanism)
+    earlier, later = ([client.message(b"header", 1), client.message(b"body")] for _ in range(2))
+    if order == "a replayed first frame":
+        assert mechanism.open_message(b"".join(earlier)) is not None
+        mixed = earlier[0] + later[1]
+    else:
+        mixed = later[0] + earlier[1]
+    assert mechanism.open_message(mixed) is None
+    with pytest.raises(RemoteProtocolError, match="nonce"):
+        events(decoder, mixed)
 
 
 def test_messages_go_both_ways_with_their_flags_encrypted() -> None:
