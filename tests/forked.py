@@ -23,6 +23,8 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
 
+from experiment_runner.plan.provenance import about
+from experiment_runner.plan.user_files import user_files
 from experiment_runner.processes import children, warm
 
 BIN: Final = Path(sys.executable).parent
@@ -56,6 +58,10 @@ SERVER.set_forkserver_preload(
         "tests.scripted.process",
     ]
 )
+
+
+about()  # what is installed is found out once, for all commands
+user_files([])
 
 
 class Forked:

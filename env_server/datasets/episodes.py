@@ -17,6 +17,7 @@ class Played(NamedTuple):
     actions       T of them
     rewards       of each action
     terminal      whether the last step was terminal; otherwise the episode was truncated after it
+    late          whether each action was late (see `glue.pace`)
     """
 
     run: Run
@@ -24,6 +25,7 @@ class Played(NamedTuple):
     actions: list[Action]
     rewards: list[float]
     terminal: bool
+    late: list[bool]
 
 
 def played(readers: Sequence[TrajectoryReader]) -> Iterator[Played]:
@@ -45,6 +47,7 @@ def played(readers: Sequence[TrajectoryReader]) -> Iterator[Played]:
                 [step.action for step in episode.steps],
                 [step.reward for step in episode.steps],
                 episode.ending is Ending.TERMINAL,
+                [episode.is_late(step) for step in range(1, len(episode.steps) + 1)],
             )
     if empty:
         raise TrajectoryError(f"{', '.join(str(reader.path) for reader in readers)}: no episode that counts")

@@ -28,6 +28,7 @@ _SCHEMA: Final = arrow.schema(
         ("reward", arrow.float64()),
         ("terminal", arrow.bool_()),
         ("truncated", arrow.bool_()),
+        ("late", arrow.bool_()),
     ]
 )
 
@@ -81,6 +82,7 @@ def _table(episode: Played, run: int, number: int) -> Any:
         [*episode.rewards, None],
         [*ends, episode.terminal, None],
         [*ends, not episode.terminal, None],
+        [*episode.late, None],
     ]
     arrays = [arrow.array(column, field.type) for column, field in zip(columns, _SCHEMA, strict=True)]
     return arrow.table(arrays, _SCHEMA)

@@ -194,7 +194,8 @@ def _outcomes(episode: RecordedEpisode) -> Iterator[tuple[Action | None, float, 
 def _place(episode: RecordedEpisode, number: int, step: int) -> str:
     run = episode.run
     name = f"run {run.name}, " if isinstance(run, GoldenRun) else ""
-    return f"{name}episode {number}, " + (f"step {step}" if step else "start")
+    late = ", late" if isinstance(episode, Episode) and episode.is_late(step) else ""
+    return f"{name}episode {number}, " + (f"step {step}{late}" if step else "start")
 
 
 def _initialise(environment: Environment, first: RecordedEpisode) -> None:

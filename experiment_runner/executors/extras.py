@@ -2,35 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
-from experiment_runner.plan.extras import Summary, extra_of
+from experiment_runner.plan.extras import SUMMARIES, Summary, extra_of
+from glue.errors import ExperimentError
 from glue.types import Observation
-
-
-@dataclass(slots=True)
-class _Values:
-    """The values of an extra in an episode."""
-
-    first: float
-    last: float = math.nan
-    sum: float = 0.0
-    count: int = 0
-    min: float = math.inf
-    max: float = -math.inf
-
-    def add(self, value: float) -> None:
-        self.last = value
-        self.sum += value
-        self.count += 1
-        self.min = min(self.min, value)
-        self.max = max(self.max, value)
-
-    @property
-    def mean(self) -> float:
-        return self.sum / self.count
 
 
 class Extras:
@@ -44,30 +20,37 @@ class Extras:
     def __init__(self, plan: Mapping[str, Summary], label: str) -> None:
         self._label = label
         self._summaries = {extra_of(key, label): how for key, how in plan.items()}
-        self._values: dict[str, _Values] = {}
-        self._unfit: dict[str, object] = {}
+        self._values: dict[str, dict[str, float]] = {}  # each summary so far, and the count
+        self._found: set[str] = set()  # those that have been numbers
 
     def begin(self) -> None:
         """Begin an episode."""
         self._values = {}
 
     def see(self, observation: Observation) -> None:
-        """Take the extras of the episode's next observation."""
+        """Take the extras of the episode's next observation.
+
+        Raises:
+            ExperimentError: one of the plan is a text, bytes or an array, and never was a number.
+        """
         for given, value in observation.extras.items():
             name = extra_of(given, self._label)  # an environment may also put its own name before an extra's
             if name not in self._summaries:
                 continue
-            if not isinstance(value, int | float):
-                self._unfit.setdefault(name, value)
-                continue
-            if name not in self._values:
-                self._values[name] = _Values(float(value))
-            self._values[name].add(float(value))
+            if isinstance(value, int | float):
+                self._found.add(name)
+                self._values[name] = _with(float(value), self._values.get(name))
+            elif name not in self._found:
+                numbers = [key for key, one in observation.extras.items() if isinstance(one, int | float)]
+                raise ExperimentError(
+                    f"the extra {name} of {self._label} cannot be a metric: it is {value!r:.40}, not a "
+                    f"number; numbers among its extras: {', '.join(numbers) or 'none'}"
+                )
 
     def numbers(self) -> dict[str, float]:
         """Return the number of each extra in the episode, by the environment's label, a dot, and its name."""
         return {
-            f"{self._label}.{name}": getattr(self._values[name], how)
+            f"{self._label}.{name}": self._values[name][how]
             for name, how in self._summaries.items()
             if name in self._values
         }
@@ -78,7 +61,15 @@ class Extras:
         One whose name has a dot may be that of an environment with another label.
         """
         for name in self._summaries:
-            if name in self._unfit and name not in self._values:
-                yield f"the extra {name} is not recorded: it is {self._unfit[name]!r:.40}, not a number"
-            elif name not in self._values and "." not in name:
+            if name not in self._values and "." not in name:
                 yield f"the environment sent no extra {name}: some send extras only if an option says so"
+
+
+def _with(value: float, before: dict[str, float] | None) -> dict[str, float]:
+    """Return the summaries of an extra's values, and their count, after one more value."""
+    if before is None:
+        return {"count": 1, **dict.fromkeys(SUMMARIES, value)}
+    total, count = before["sum"] + value, before["count"] + 1
+    least, most = min(before["min"], value), max(before["max"], value)
+    after = {"last": value, "sum": total, "count": count, "mean": total / count, "min": least, "max": most}
+    return before | after

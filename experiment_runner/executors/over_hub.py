@@ -123,9 +123,10 @@ def over_hub(
             )
         else:
             hub, url, show_missing = _start_hub(stack, placement, expected, named.keys(), spec.pace, say)
-            steps, late = (partial(f, session) for f in (hub.sessions.num_steps, hub.sessions.num_late))
             transport = InsideTransport(hub, inside, session)
-            glue = connect_over(transport, session, on_notice=notice, num_steps=steps, num_late=late)
+            glue = connect_over(
+                transport, session, on_notice=notice, num_steps=partial(hub.sessions.num_steps, session)
+            )
         stack.enter_context(glue)
         if options.key is None:  # observers would need a key
             send(AtHub(url, session))

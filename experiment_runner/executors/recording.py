@@ -138,17 +138,19 @@ class Recorder:
         self._writer.start(observation)
         if meter is not None:
             meter.see(observation)
+        late = before = 0  # of actions, without and with the one that is carried out next
         for number, step in enumerate(steps(self._glue, max_steps), 1):
             self._ask()
             if meter is not None:
                 meter.see(step.observation)
             ended = step.terminal and not step.truncated
-            self._writer.step(action, step.reward, step.observation, ended)
+            self._writer.step(action, step.reward, step.observation, ended, late=late > before)
             if ended:
                 return True
             if meter is not None:
                 meter.after(number)
             action = step.action
+            before, late = late, self._glue.late_actions() or 0
         self._writer.cutoff()
         return False
 

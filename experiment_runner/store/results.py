@@ -263,6 +263,15 @@ class Results(Closing):
         )
         return {trial_id: TrialEnd(reason, digest) for trial_id, reason, digest in rows}
 
+    def late_actions(self) -> dict[str, tuple[int, int]]:
+        """Return the number of late actions of each trial with a rate, and of all its actions, by id."""
+        rows = self._rows(
+            tuple[str, int, int],
+            "SELECT id, ifnull(SUM(episodes.late), 0), SUM(episodes.steps) FROM episodes "
+            "JOIN trials ON key = trial WHERE rate > 0 GROUP BY trial",
+        )
+        return {trial_id: (late, actions) for trial_id, late, actions in rows}
+
     def verdicts(self) -> dict[str, ReplayVerdict]:
         """Return the result of each trial of a competition that was replayed, by id."""
         rows = self._rows(

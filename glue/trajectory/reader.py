@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from array import array
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +21,8 @@ from glue.trajectory.records import (
     BLOCK,
     COUNTS,
     ENDINGS,
+    LATE,
+    LATE_BLOCK,
     MAGIC,
     MESSAGE,
     REWARD,
@@ -107,12 +110,16 @@ def _episode(
 ) -> Episode:
     """Read an episode from its first observation; `begin` is the offset of its first record."""
     start = Observation.from_body(unpacked.body(limits.MAX_BODY))
-    steps = Steps()
-    while (kind := unpacked.take(1)) in (STEP, TERMINAL_STEP, ANSWER):
+    steps, late = Steps(), array("I")
+    while (kind := unpacked.take(1)) in (STEP, TERMINAL_STEP, ANSWER, LATE):
         if kind == ANSWER:
             answers.append(_answer(unpacked, len(steps) + 1))
             _check_size(unpacked, begin, len(answers))
             continue
+        if kind == LATE:
+            late.append(len(steps) + 1)
+            if (kind := unpacked.take(1)) not in (STEP, TERMINAL_STEP):
+                raise unpacked.malformed(f"a record {kind!r} where a step is to follow")
         reward = unpacked.take(REWARD.size)
         action, observation = unpacked.action(limits.MAX_BODY), unpacked.body(limits.MAX_BODY)
         steps.append(reward, action, observation, kind == TERMINAL_STEP)
@@ -122,21 +129,27 @@ def _episode(
     ending = Ending.TERMINAL if kind == TERMINAL_STEP else ENDINGS.get(kind)
     if ending is None or kind == TERMINAL_END or (answers and answers[-1].step > len(steps)):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
-    return Episode(run, messages, start, steps, ending, tuple(answers))
+    return Episode(run, messages, start, steps, ending, tuple(answers), late or ())
 
 
 def _actions_only(
     unpacked: Unpacked, run: Run, messages: tuple[str, ...], answers: list[Answer], begin: int
 ) -> Episode:
     """Read an episode without observations; `begin` is the offset of its first record."""
-    steps = ActionSteps()
-    while (kind := unpacked.take(1)) == BLOCK:
+    steps, late = ActionSteps(), array("I")
+    while (kind := unpacked.take(1)) in (BLOCK, LATE_BLOCK):
+        before = len(steps)
         steps.append(_block(unpacked, begin + limits.MAX_EPISODE))
+        if kind == LATE_BLOCK:
+            count = len(steps) - before
+            bits = np.frombuffer(unpacked.take((count + 7) // 8), np.uint8)
+            places = np.flatnonzero(np.unpackbits(bits, count=count, bitorder="little"))
+            late.frombytes((places + before + 1).astype(np.uintc).tobytes())
         _check_size(unpacked, begin, 0)
     if kind not in ENDINGS or (kind == TERMINAL_END and not steps):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
     steps.end(kind == TERMINAL_END)
-    return Episode(run, messages, None, steps, ENDINGS[kind], tuple(answers))
+    return Episode(run, messages, None, steps, ENDINGS[kind], tuple(answers), late or ())
 
 
 def _block(unpacked: Unpacked, end: int) -> Block:

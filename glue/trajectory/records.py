@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -19,7 +20,8 @@ from glue.types import Observation
 MAGIC: Final = b"GLUETRJ1"
 RUN, MESSAGE, START, STEP, TERMINAL_STEP, CUTOFF, VOID = b"R", b"M", b"O", b"S", b"T", b"C", b"V"
 ANSWER: Final = b"A"
-BEGIN, BLOCK, TERMINAL_END = b"B", b"P", b"E"  # of an actions-only episode
+BEGIN, BLOCK, LATE_BLOCK, TERMINAL_END = b"B", b"P", b"Q", b"E"  # of an actions-only episode
+LATE: Final = b"L"
 LENGTH: Final = struct.Struct("<I")
 COUNTS: Final = struct.Struct("<III")  # of a block: its steps, distinct actions and distinct rewards
 REWARD: Final = struct.Struct("<d")
@@ -78,6 +80,7 @@ class Episode:
         steps: the steps in order.
         ending: its end.
         answers: the agent's answers to messages during the episode.
+        late: the numbers, from 1, of the steps whose action was late (see `glue.pace`).
     """
 
     run: Run
@@ -86,6 +89,12 @@ class Episode:
     steps: Sequence[Transition]
     ending: Ending
     answers: tuple[Answer, ...] = ()
+    late: Sequence[int] = ()
+
+    def is_late(self, step: int) -> bool:
+        """Return whether the action of a step, counted from 1, was late."""
+        place = bisect_left(self.late, step)
+        return place < len(self.late) and self.late[place] == step
 
     @property
     def episode_return(self) -> float:

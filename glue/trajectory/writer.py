@@ -21,6 +21,8 @@ from glue.trajectory.records import (
     BLOCK,
     COUNTS,
     END_OF,
+    LATE,
+    LATE_BLOCK,
     MAGIC,
     MESSAGE,
     REWARD,
@@ -172,8 +174,12 @@ class TrajectoryWriter(_Writer, Closing):
         self._answers.clear()
         self._begin(record)
 
-    def step(self, action: Action, reward: float, observation: Observation, terminal: bool) -> None:
+    def step(
+        self, action: Action, reward: float, observation: Observation, terminal: bool, *, late: bool = False
+    ) -> None:
         """Record a step of the open episode; a terminal step ends it.
+
+        `late` says that the action was late (see `glue.pace`).
 
         Raises:
             LocalProtocolError: no episode is open, or a limit of `glue.trajectory.limits` is exceeded.
@@ -183,7 +189,7 @@ class TrajectoryWriter(_Writer, Closing):
         if self._steps == limits.MAX_STEPS:
             raise LocalProtocolError(f"an episode of more than {limits.MAX_STEPS} steps cannot be recorded")
         self._steps += 1
-        kind = TERMINAL_STEP if terminal else STEP
+        kind = (LATE if late else b"") + (TERMINAL_STEP if terminal else STEP)
         fields = (REWARD.pack(reward), _body_of(action), _body_of(observation))
         self._grow(b"".join((*self._answers, kind, *fields)))
         self._answered += len(self._answers)
@@ -248,6 +254,7 @@ class ActionWriter(_Writer):
         self._actions: dict[bytes, int] = {}
         self._actions_size = 0
         self._choices = array("I")
+        self._late = bytearray()  # 1 for each late step
         self._rewards = array("d")
 
     def start(self) -> None:
@@ -260,8 +267,8 @@ class ActionWriter(_Writer):
         self.end(Ending.CUTOFF)
         self._begin(BEGIN)
 
-    def step(self, action: bytes, reward: float) -> None:
-        """Add a step of the open episode: the body of its action, and its reward.
+    def step(self, action: bytes, reward: float, *, late: bool = False) -> None:
+        """Add a step of the open episode: the body of its action, and its reward; `late` as in a recording.
 
         Raises:
             LocalProtocolError: no episode is open, or the episode exceeds a limit of a recording.
@@ -281,6 +288,7 @@ class ActionWriter(_Writer):
         if choice is None:
             choice = self._actions[action] = len(self._actions)
             self._actions_size += len(action)
+        self._late.append(late)
         self._choices.append(choice)
         self._rewards.append(reward)
 
@@ -294,11 +302,11 @@ class ActionWriter(_Writer):
 
     def _end_block(self) -> None:
         if self._choices:
-            self._grow(_block_record(tuple(self._actions), self._choices, self._rewards))
+            self._grow(_block_record(tuple(self._actions), self._choices, self._rewards, bytes(self._late)))
             self._open = 0
             self._actions.clear()
             self._actions_size = 0
-            del self._choices[:], self._rewards[:]
+            del self._choices[:], self._rewards[:], self._late[:]
 
 
 def _body_of(value: AbstractType) -> bytes:
@@ -310,16 +318,20 @@ def _body_of(value: AbstractType) -> bytes:
     return body
 
 
-def _block_record(actions: tuple[bytes, ...], choices: array[int], rewards: array[float]) -> bytes:
+def _block_record(
+    actions: tuple[bytes, ...], choices: array[int], rewards: array[float], late: bytes
+) -> bytes:
     # Compared by their bits: 0.0 and -0.0 are two rewards.
     bits, paid = np.unique(np.array(rewards, np.float64).view(np.uint64), return_inverse=True)
+    marks = np.packbits(np.frombuffer(late, np.uint8), bitorder="little").tobytes() if any(late) else b""
     return b"".join(
         (
-            BLOCK,
+            LATE_BLOCK if marks else BLOCK,
             COUNTS.pack(len(choices), len(actions), len(bits)),
             *actions,
             bits.astype("<u8").tobytes(),
             np.array(choices, width(len(actions))).tobytes(),
             paid.astype(width(len(bits))).tobytes(),
+            marks,
         )
     )

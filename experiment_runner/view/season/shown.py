@@ -186,6 +186,7 @@ def _summary(one: EntrantRow) -> dict[str, Any]:
         "low": finite(one.low),
         "high": finite(one.high),
         "tied": one.like,
+        "late": finite(one.late),
         "counts": dict(one.counts),
         "counting": [attempt.number for attempt in one.attempts if attempt.counts],
         "why": "; ".join(filter(None, (one.missing, one.paused and f"paused: {one.paused}"))),

@@ -173,7 +173,8 @@ class Views:
     def _read(self, signs: object) -> _Season:
         course = course_of(self.directory)
         with Results.open(self.directory) as results:
-            boards = Boards(course, results.outcomes(), results.verdicts(), self._clock())
+            trials = results.outcomes(), results.verdicts(), results.late_actions()
+            boards = Boards(course, *trials, self._clock())
         boards.seen_by(PUBLIC)  # counts as part of the time that it takes
         return _Season(signs, boards, SeasonState.of(course), course)
 

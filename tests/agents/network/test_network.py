@@ -87,9 +87,7 @@ def test_the_policy_that_comes_with_the_package_reaches_goals_that_it_has_not_se
     for number in levels.numbers[:30]:
         level = levels.level(task, number)
         mario = InfiniteMario(
-            level_seed=level.level_seed,
-            level_type=level.level_type,
-            level_difficulty=level.level_difficulty,
+            level_seed=level.level_seed, level_type=level.level_type, level_difficulty=level.level_difficulty
         )
         with local(agent, mario) as glue:
             glue.rl_init(1)

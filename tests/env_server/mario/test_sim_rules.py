@@ -75,11 +75,7 @@ def give_size(world: World, large: bool, fire: bool) -> None:
 
 @pytest.mark.parametrize(
     ("block", "can_break", "left", "coins"),
-    [
-        (QUESTION_WITH_COIN, False, USED_BLOCK, 2),
-        (BRICK, False, BRICK, 1),
-        (BRICK, True, EMPTY, 1),
-    ],
+    [(QUESTION_WITH_COIN, False, USED_BLOCK, 2), (BRICK, False, BRICK, 1), (BRICK, True, EMPTY, 1)],
 )
 def test_loose_coin_on_a_block_that_is_hit_is_taken(
     world: World, level: LevelMap, block: int, can_break: bool, left: int, coins: int

@@ -390,10 +390,7 @@ def test_level_that_differs_is_told_by_what_differs(
         ([GOOD_RUN, START, LEVEL], "line 3: a line 'level' cannot stand here"),
         ([LEVEL | {"width": "370"}], "line 1: field 'width' must be int"),
         ([LEVEL | {"rows": [0]}], "line 1: field 'rows' must be a list of str"),
-        (
-            [LEVEL | {"sprites": [[1, 2, 3]]}],
-            "line 1: field 'sprites' must be a list of .column, row",
-        ),
+        ([LEVEL | {"sprites": [[1, 2, 3]]}], "line 1: field 'sprites' must be a list of .column, row"),
         ([LEVEL | {"sprites": [[1, 2, "a", 0]]}], "line 1: field 'sprites' must be a list of"),
         ([LEVEL | {"level_seed": None}], "line 1: field 'level_seed' must be int"),
     ],

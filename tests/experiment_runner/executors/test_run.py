@@ -130,8 +130,7 @@ def losses() -> dict[str, list[int]]:
 
 
 @pytest.mark.parametrize(
-    ("plan", "size", "whole"),
-    [(PLAN, 1, "undisturbed"), (PLAN, 5, "undisturbed"), (STEPS, 2, "budgeted")],
+    ("plan", "size", "whole"), [(PLAN, 1, "undisturbed"), (PLAN, 5, "undisturbed"), (STEPS, 2, "budgeted")]
 )
 def test_lost_trials_end_as_undisturbed_ones(
     plan: Plan, size: int, whole: str, request: pytest.FixtureRequest, tmp_path: Path

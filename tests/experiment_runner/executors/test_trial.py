@@ -15,16 +15,7 @@ from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.job import (
-    BEGINNING,
-    Happened,
-    Job,
-    Line,
-    Recorded,
-    Report,
-    Start,
-    Voided,
-)
+from experiment_runner.executors.job import BEGINNING, Happened, Job, Line, Recorded, Report, Start, Voided
 from experiment_runner.executors.settings import Placement, RunConfig
 from experiment_runner.executors.trial import run_trial
 from experiment_runner.plan.ids import TrialId

@@ -14,13 +14,7 @@ import pytest
 
 from experiment_runner.competition.board.standings import Forfeit
 from experiment_runner.competition.records.journal import ANNOUNCE, EXCLUDE, Act
-from experiment_runner.competition.season.board import (
-    ORGANISER,
-    PUBLIC,
-    AttemptRow,
-    EntrantRow,
-    SeasonBoard,
-)
+from experiment_runner.competition.season.board import ORGANISER, PUBLIC, AttemptRow, EntrantRow, SeasonBoard
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import Competition, Season, Task
 from experiment_runner.view.reader import as_json
