@@ -29,11 +29,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import Final
+from functools import lru_cache
+from typing import Final, NamedTuple
 
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.system import chance
-from glue.wire.zmtp import LONG, LONG_HEAD, MAX_SHORT, MORE, SHORT_HEAD, HandshakeRefused
+from glue.wire.zmtp import LONG_HEAD, MORE, SHORT_HEAD, HandshakeRefused, head
 
 try:
     from nacl._sodium import ffi, lib
@@ -69,8 +70,14 @@ _MESSAGE: Final = b"\x07MESSAGE"
 _MAC: Final = 16
 """Overhead of a box over its content, in bytes."""
 
-_MAX_BUFFERED: Final = 4096
-"""Size of the buffer in which a connection opens boxes, in bytes: room for a typical observation."""
+_BUFFER: Final = 4096
+"""Size in bytes of the buffer in which a connection seals and opens boxes."""
+
+_MAX_BUFFERED: Final = _BUFFER - 512
+"""Maximum size of a body to be sealed and of a message to be opened there: a typical observation fits."""
+
+_LAST_AT: Final = 256
+"""Where the last of two boxes is opened in the buffer, behind the first one."""
 
 _FLAGS: Final = [bytes((flags,)) for flags in range(256)]
 _NONCE_AT: Final = len(_MESSAGE)
@@ -83,17 +90,51 @@ _ERROR_400: Final = b"\x05ERROR\x03400"
 
 _NONCE: Final = struct.Struct(">Q")
 
-_SHORT, _LONG = struct.Struct(">BB8s8s"), struct.Struct(">BQ8s8s")
-"""A MESSAGE up to its box: the head of the frame, its name, and its nonce."""
-
-_SHORT_UNSEALED, _LONG_UNSEALED = struct.Struct(">BB8sQ16xB"), struct.Struct(">BQ8sQ16xB")
-"""The same, with room for the authenticator of the box, and the flags that it begins with."""
+_UNSEALED: Final = struct.Struct(">Q16xB")
+"""A MESSAGE between its name and the frame in it: its nonce, the authenticator of its box, and the flags."""
 
 _BOX_NONCE: Final = struct.Struct(">16sQ")
 """The nonce of a box: a prefix, and the number that its message has in its place."""
 
 _seal: Final = lib.crypto_box_easy_afternm
 _open: Final = lib.crypto_box_open_easy_afternm
+
+
+class _Layout(NamedTuple):
+    """The bytes of a message of two frames, each in a MESSAGE.
+
+    `start` and `middle` are the bytes before the two nonces, and `last_box` is the offset of the last box.
+    `pack_into` packs `start`, a nonce, flags, a frame, and the same again, leaving room for authenticators;
+    `unpack` unpacks `start`, a nonce, a box, and the same again.
+    """
+
+    size: int
+    last_box: int
+    start: bytes
+    middle: bytes
+    pack_into: Callable[..., None]
+    unpack: Callable[[bytes], tuple[bytes, ...]]
+
+
+@lru_cache(1024)
+def _layout(size: int, last_size: int) -> _Layout:
+    """Return the layout of a message by the sizes of its frames."""
+    start, middle = (head(0, frame + _LEAST_MESSAGE) + _MESSAGE for frame in (size, last_size))
+    unsealed = struct.Struct(f">{len(start)}sQ16xB{size}s{len(middle)}sQ16xB{last_size}s")
+    box, last_box = _MAC + 1 + size, _MAC + 1 + last_size
+    sealed = struct.Struct(f">{len(start)}s8s{box}s{len(middle)}s8s{last_box}s")
+    return _Layout(sealed.size, sealed.size - last_box, start, middle, unsealed.pack_into, sealed.unpack)
+
+
+@lru_cache(1024)
+def _layout_of(first: int, whole: int) -> _Layout | None:
+    """Return the layout of `whole` bytes of which the second is `first`; None if there is none."""
+    size = first - _LEAST_MESSAGE
+    for last_head in (SHORT_HEAD, LONG_HEAD):
+        last_size = whole - SHORT_HEAD.size - first - last_head.size - _LEAST_MESSAGE
+        if size >= 0 and last_size >= 0 and (layout := _layout(size, last_size)).size == whole:
+            return layout
+    return None
 
 
 def public_key(secret: bytes) -> bytes:
@@ -131,8 +172,11 @@ class _Curve:
     def _agree(self, key: bytes) -> None:
         """Set the key of C' and S', and make room to open boxes: strangers do not come this far."""
         self._key = key
-        self._buffer = ffi.new("unsigned char[]", _MAX_BUFFERED)
+        self._buffer = ffi.new("unsigned char[]", _BUFFER)
         self._view = ffi.buffer(self._buffer)
+        self._last_opened = self._buffer + _LAST_AT
+        self._first_box = self._buffer + (SHORT_HEAD.size + _BOX_AT)
+        self._first_content = self._first_box + _MAC
 
     def decrypt(self, frame: bytes) -> tuple[int, bytes]:
         """Return the flags and the payload of a MESSAGE.
@@ -153,50 +197,42 @@ class _Curve:
         content = ffi.buffer(opened, size - _MAC)
         return content[0][0], content[1:]
 
-    def open_message(self, data: bytes) -> bytes:
-        """Return the bytes, without encryption, of the message of two frames that `data` is.
+    def open_message(self, data: bytes) -> tuple[bytes, bytes] | None:
+        """Return the frames, without encryption, of the message of two frames that `data` is.
 
-        Return b"" if it is anything else, or in doubt; then nothing has changed, and `decrypt` decides.
+        Return None if it is anything else, or in doubt; then nothing has changed, and `decrypt` decides.
         """
-        try:
-            flags, size, name, nonce = _SHORT.unpack_from(data)
-            at = SHORT_HEAD.size + size
-            long = data[at] != 0
-            form, head = (_LONG, LONG_HEAD) if long else (_SHORT, SHORT_HEAD)
-            last_flags, last_size, last_name, last_nonce = form.unpack_from(data, at)
-        except (struct.error, IndexError):
-            return b""
-        payload, last_payload = size - _LEAST_MESSAGE, last_size - _LEAST_MESSAGE
+        layout = _layout_of(data[1], len(data)) if 1 < len(data) <= _MAX_BUFFERED else None
+        if layout is None:
+            return None
+        start, nonce, box, middle, last_nonce, last_box = layout.unpack(data)
+        if start != layout.start or middle != layout.middle or not self._received < nonce < last_nonce:
+            return None
+        view, key, prefix = self._view, self._key, self._other_prefix
+        size, last_size = len(box), len(last_box)
         if (
-            len(data) != at + head.size + last_size
-            or len(data) > _MAX_BUFFERED
-            or name != _MESSAGE
-            or last_name != _MESSAGE
-            or flags
-            or last_flags != (LONG if long else 0)
-            or payload < 0
-            or last_payload < 0
-            or not self._received < nonce < last_nonce
+            _open(self._buffer, box, size, prefix + nonce, key)
+            or view[0] != _FLAGS[MORE]
+            or _open(self._last_opened, last_box, last_size, prefix + last_nonce, key)
+            or view[_LAST_AT] != _FLAGS[0]
         ):
-            return b""
-        # Each box begins with its flags, and is opened so that the frame's own head ends there.
-        box, last_box = _SHORT.size, at + form.size
-        head = LONG_HEAD if last_payload > MAX_SHORT else SHORT_HEAD
-        middle = SHORT_HEAD.size + payload
-        last_at = middle + head.size - 1
-        sealed, opened, view = ffi.from_buffer(data), self._buffer, self._view
-        prefix, key = self._other_prefix, self._key
-        if (
-            _open(opened + 1, sealed + box, at - box, prefix + nonce, key)
-            or view[1] != _FLAGS[MORE]
-            or _open(opened + last_at, sealed + last_box, len(data) - last_box, prefix + last_nonce, key)
-            or view[last_at] != _FLAGS[0]
-        ):
-            return b""
+            return None
         self._received = last_nonce
-        SHORT_HEAD.pack_into(view, 0, MORE, payload)
-        head.pack_into(view, middle, LONG if head is LONG_HEAD else 0, last_payload)
-        message: bytes = view[: middle + head.size + last_payload]
+        return view[1 : size - _MAC], view[_LAST_AT + 1 : _LAST_AT + last_size - _MAC]
+
+    def seal_message(self, header: bytes, body: bytes) -> bytes | bytearray:
+        """Return the bytes of a message of two frames, the first of at most 222 bytes."""
+        size, last_size = len(header), len(body)
+        if last_size > _MAX_BUFFERED:
+            return self.encode((header, body))
+        whole, last_box_at, start, middle, pack_into, _ = _layout(size, last_size)
+        view, key, prefix = self._view, self._key, self._prefix
+        box, last_box = self._first_box, self._buffer + last_box_at
+        self._sent = sent = self._sent + 2
+        pack_into(view, 0, start, sent - 1, MORE, header, middle, sent, 0, body)
+        _seal(box, self._first_content, 1 + size, _BOX_NONCE.pack(prefix, sent - 1), key)
+        _seal(last_box, last_box + _MAC, 1 + last_size, _BOX_NONCE.pack(prefix, sent), key)
+        message: bytes = view[:whole]
         return message
 
     def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytearray:
@@ -208,22 +244,16 @@ class _Curve:
             left -= 1
             sent += 1
             size = len(frame) + _LEAST_MESSAGE
-            inside = MORE if left else flags
-            if size <= MAX_SHORT:
-                unsealed = _SHORT_UNSEALED.pack(0, size, _MESSAGE, sent, inside)
-                at += _SHORT.size
-            else:
-                unsealed = _LONG_UNSEALED.pack(LONG, size, _MESSAGE, sent, inside)
-                at += _LONG.size
-            parts += unsealed, frame
-            boxes.append((at, 1 + len(frame), _BOX_NONCE.pack(self._prefix, sent)))
-            at += size - _BOX_AT
+            start = head(0, size) + _MESSAGE
+            parts += start, _UNSEALED.pack(sent, MORE if left else flags), frame
+            boxes.append((at + len(start) + _NONCE.size, 1 + len(frame), _BOX_NONCE.pack(self._prefix, sent)))
+            at += len(start) + size - len(_MESSAGE)
         self._sent = sent
         # Sealed in place: of a large message, the only copy is the one that is sent.
         message = bytearray().join(parts)
-        start, key = ffi.from_buffer(message), self._key
+        begin, key = ffi.from_buffer(message), self._key
         for at, size, nonce in boxes:
-            _seal(start + at, start + (at + _MAC), size, nonce, key)
+            _seal(begin + at, begin + (at + _MAC), size, nonce, key)
         return message
 
     def _count(self, nonce: bytes) -> None:

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import msgpack
 
-from glue.types import CUT_OFF, PREFIX_SIZE
+from glue.types import CUT_OFF, PREFIX_SIZE, body_size, has_beside
 from glue.wire.messages import CALLS, Body, Kind, Message, Shape, Value
 from glue.wire.zmtp import LONG, MAX_SHORT, MORE, SHORT_HEAD
 
@@ -147,7 +147,8 @@ class StepReader:
     """Recognises the messages of one format, and remembers the shape of one of them.
 
     Most messages differ from an earlier one only in their number, their scalars and the elements of their
-    body. Two comparisons of bytes then replace all other checks.
+    body. Two comparisons of bytes then replace all other checks. A reader is used either with `read`, for the
+    bytes of ZMTP, or with `read_frames` and `learn`, for decrypted frames.
 
     Args:
         form: the format.
@@ -175,7 +176,7 @@ class StepReader:
         self._kind = form.kind
         self._session = form.session
         self._num_scalars = form.num_scalars
-        self._unpack: Callable[[bytes, int], tuple[Any, ...]] = _NOTHING.unpack_from
+        self._unpack: Callable[..., tuple[Any, ...]] = _NOTHING.unpack_from
         self._start = b""  # the bytes before the number
         self._tail = b""  # the bytes between the scalars and the elements of the body
         self._body_at = 0
@@ -243,6 +244,43 @@ class StepReader:
             self._body_at = head.size
             self._size = end - at
         return Message(self._kind, self._session, seq, tuple(scalars), data[body_at:end])
+
+    def read_frames(self, header: bytes, body: bytes, max_body: int) -> Message | None:
+        """Return the message in two frames, if its header is like the one learned, and its body valid."""
+        try:
+            if not self._num_scalars:
+                start, seq = self._unpack(header)
+                type_, scalars = _FLOAT, _NO_SCALARS
+            elif self._num_scalars == 1:
+                start, seq, type_, reward = self._unpack(header)
+                scalars = (reward,)
+            else:
+                start, seq, type_, reward, terminal = self._unpack(header)
+                scalars = (reward, _TERMINALS[terminal])
+        except (struct.error, ValueError, LookupError):
+            return None
+        size = len(body)
+        if start != self._start or type_ != _FLOAT or size > max_body:
+            return None
+        if size != self._size or not body.startswith(self._tail):
+            if size < PREFIX_SIZE or body_size(body) != size or (self._form.is_action and has_beside(body)):
+                return None
+            self._size, self._tail = size, body[:PREFIX_SIZE]
+        return _message(Message, (self._kind, self._session, seq, scalars, body))
+
+    def learn(self, message: Message, header: bytes) -> None:
+        """Remember the header of a decoded message for `read_frames`, if it is in this format."""
+        form, (kind, _, seq, scalars, body) = self._form, message
+        # A number of a single byte has no fixed first byte to compare.
+        if (
+            kind is self._kind
+            and 2**_MAX_FIXED <= seq <= form.max_seq
+            and form.head(seq, scalars, 0)[_HEAD:-_HEAD] == header
+        ):
+            layout = form.layout_of(header, -_HEAD)
+            self._start = layout.start[_HEAD:]
+            self._unpack = _struct(f">{len(self._start)}s{layout.numbers}").unpack
+            self._size, self._tail = len(body), body[:PREFIX_SIZE]
 
 
 _message: Final = tuple.__new__

@@ -91,13 +91,7 @@ class Stream:
 
     def receive_data(self, data: bytes) -> None:
         """Add bytes received from the connection."""
-        if self._mechanism is not None:
-            message = self._mechanism.open_message(data) if self.empty and self._read else b""
-            if message:
-                self._data = message
-            else:
-                self._decoder.receive_data(data)
-        elif self.empty and self._read:
+        if self.empty and self._read:
             self._data = data
         else:
             self._decode_rest()
@@ -116,20 +110,23 @@ class Stream:
         if self.empty:
             return None
         data, at = self._data, self._at
-        if data:
+        if data and self._mechanism is not None:
+            opened = self._mechanism.open_message(data)
+            if opened is not None:
+                self._data, self.empty = b"", True
+                return self._decrypted(opened)
+            self._decode_rest()
+        elif data:
             reader = self._only or self._read.get(lead_of(data, at))
             message = None if reader is None else reader.read(data, at, self.max_body)
             if reader is not None and message is not None:
                 at = reader.end
                 if at == len(data):
                     self._data, self._at = b"", 0
-                    self.empty = self._mechanism is None or not self._decoder.buffered
+                    self.empty = True
                 else:
                     self._at = at
                 return message
-            if self._mechanism is not None:
-                self._data, self.empty = b"", not self._decoder.buffered
-                return self._decoded(zmtp.split(data))
             self._decode_rest()
         event = self._decoder.next_event()
         if self._read and event is not None:
@@ -137,11 +134,9 @@ class Stream:
         self.empty = not self._data and not self._decoder.buffered
         if not isinstance(event, list):
             return event
-        if self._mechanism is not None and (step := self._decrypted_step(event)) is not None:
-            return step
-        return self._decoded(event)
+        return self._decoded(event) if self._mechanism is None else self._decrypted(event)
 
-    def _decoded(self, frames: list[bytes]) -> Message:
+    def _decoded(self, frames: Sequence[bytes]) -> Message:
         try:
             return decode(frames, self._incoming, self.max_body)
         except UnknownKind:
@@ -149,13 +144,16 @@ class Stream:
         except RemoteProtocolError as error:
             raise Malformed(str(error)) from None
 
-    def _decrypted_step(self, frames: list[bytes]) -> Message | None:
-        """Return the step in decrypted frames; None if they are not a usual step."""
-        head, body = zmtp.encode_parts(frames)
-        reader = self._read.get(lead_of(head, 0))
+    def _decrypted(self, frames: Sequence[bytes]) -> Message:
+        """Return the message in decrypted frames."""
+        reader = self._only or self._read.get(lead_of(frames[0], -zmtp.SHORT_HEAD.size))
         if reader is None or len(frames) != 2:
-            return None
-        return reader.read(head + body, 0, self.max_body)
+            return self._decoded(frames)
+        message = reader.read_frames(frames[0], frames[1], self.max_body)
+        if message is None:
+            message = self._decoded(frames)
+            reader.learn(message, frames[0])
+        return message
 
     def _decode_rest(self) -> None:
         """Pass the bytes that are not a usual step to the decoder."""
@@ -184,9 +182,8 @@ class Stream:
             head = form.head(seq, scalars, len(body))
             if self._mechanism is None:
                 return head, body
-            frames: Sequence[bytes] = (head[2 : 2 + head[1]], body)
-        else:
-            frames = encode(message, self._outgoing)
+            return self._mechanism.seal_message(head[2 : 2 + head[1]], body), b""
+        frames = encode(message, self._outgoing)
         if self._mechanism is not None:
             return self._mechanism.encode(frames), b""
         return zmtp.encode_parts(frames)

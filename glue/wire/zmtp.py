@@ -87,13 +87,6 @@ def encode_parts(frames: Sequence[bytes]) -> tuple[bytes, bytes]:
     return b"".join((*parts, head(0, len(last)))), last
 
 
-def split(message: bytes) -> list[bytes]:
-    """Return the frames of a message of two frames, the first of which is short."""
-    at = SHORT_HEAD.size + message[1]
-    last = at + (LONG_HEAD if message[at] & LONG else SHORT_HEAD).size
-    return [message[SHORT_HEAD.size : at], message[last:]]
-
-
 def _command(body: bytes) -> bytes:
     """Return the frame of a command; b"" if its body is empty."""
     return head(COMMAND, len(body)) + body if body else b""
@@ -164,11 +157,15 @@ class Mechanism(Protocol):
         """Return the flags of a frame (1: more frames follow, 2: a command) and its payload."""
         ...
 
-    def open_message(self, data: bytes) -> bytes:
-        """Return the bytes, without encryption, of the message of two frames that `data` is; otherwise b"".
+    def open_message(self, data: bytes) -> tuple[bytes, bytes] | None:
+        """Return the frames, without encryption, of the message of two frames that `data` is; otherwise None.
 
         Without a result nothing has changed, and the frames can still be passed to `decrypt`.
         """
+        ...
+
+    def seal_message(self, header: bytes, body: bytes) -> bytes | bytearray:
+        """Return the bytes of a message of two frames, the first of at most 222 bytes."""
         ...
 
     def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytearray:

@@ -27,7 +27,7 @@ from glue.wire.zmtp import (
     HandshakeRefused,
     OtherMechanism,
     encode,
-    split,
+    head,
 )
 from tests.glue.wire.test_zmtp import events
 from tests.scripted.curve import GREETING as CLIENT_GREETING
@@ -87,8 +87,24 @@ def test_a_message_of_two_frames_is_opened_as_a_whole(header: int, body: int) ->
     frames = [bytes(range(header)), bytes(i % 251 for i in range(body))]
     for _ in range(2):
         message = mechanism.open_message(client.message(frames[0], 1) + client.message(frames[1]))
-        assert message == encode(frames)
-        assert split(message) == frames
+        assert message == tuple(frames)
+
+
+@pytest.mark.parametrize("header", [0, 1, 30, 222])
+@pytest.mark.parametrize("body", [0, 1, 222, 223, 255, 256, 3584, 4000])
+def test_a_message_of_two_frames_is_sealed_as_a_whole(header: int, body: int) -> None:
+    mechanism = server()
+    _, client = connected(mechanism)
+    for fill in range(3):
+        frames = [bytes([fill]) * header, bytes([fill]) * body]
+        sealed = bytes(mechanism.seal_message(*frames))
+        first, rest = sealed[2 : 2 + sealed[1]], sealed[2 + sealed[1] :]
+        last = rest[9:] if rest[0] else rest[2:]
+        assert [client.read(first), client.read(last)] == [(1, frames[0]), (0, frames[1])]
+        assert rest[: -len(last)] == head(0, len(last))
+        assert [frame[8:16] for frame in (first, last)] == [
+            struct.pack(">Q", number) for number in (2 * fill + 2, 2 * fill + 3)
+        ], "numbers follow that of READY, and none is used twice"
 
 
 def anything_else(client: CurveClient) -> dict[str, bytes]:
@@ -113,7 +129,7 @@ def test_anything_else_is_left_to_the_decoder(what: str) -> None:
     decoder, client = connected(mechanism)
     data = anything_else(client)[what]
     received = mechanism._received
-    assert mechanism.open_message(data) == b""
+    assert mechanism.open_message(data) is None
     assert mechanism._received == received
     events(decoder, data)
 
@@ -125,9 +141,24 @@ def test_each_changed_bit_is_found_and_the_message_itself_can_still_be_read() ->
     for at in range(8 * len(data)):
         changed = bytearray(data)
         changed[at // 8] ^= 1 << at % 8
-        assert mechanism.open_message(bytes(changed)) == b"", f"bit {at}"
-    assert mechanism.open_message(data) == encode([b"header", b"body of a step"])
-    assert mechanism.open_message(data) == b"", "a replay"
+        assert mechanism.open_message(bytes(changed)) is None, f"bit {at}"
+    assert mechanism.open_message(data) == (b"header", b"body of a step")
+    assert mechanism.open_message(data) is None, "a replay"
+
+
+@pytest.mark.parametrize("order", ["a replayed first frame", "an older last frame"])
+def test_frames_of_two_messages_are_not_one(order: str) -> None:
+    mechanism = server()
+    decoder, client = connected(mechanism)
+    earlier, later = ([client.message(b"header", 1), client.message(b"body")] for _ in range(2))
+    if order == "a replayed first frame":
+        assert mechanism.open_message(b"".join(earlier)) is not None
+        mixed = earlier[0] + later[1]
+    else:
+        mixed = later[0] + earlier[1]
+    assert mechanism.open_message(mixed) is None
+    with pytest.raises(RemoteProtocolError, match="nonce"):
+        events(decoder, mixed)
 
 
 def test_messages_go_both_ways_with_their_flags_encrypted() -> None:
