@@ -99,6 +99,8 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     """Let every entrant play every task. After an interruption, the same command plays the rest."""
     from experiment_runner.competition.course import course_of
     from experiment_runner.competition.organiser import hold, open_competition
+    from experiment_runner.competition.season.control import Door
+    from experiment_runner.competition.season.service import answering
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_secret
     from experiment_runner.executors.opening import kept_if_begun
@@ -114,7 +116,9 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
             store = stack.enter_context(open_competition(out, text, competition, secret))
         wait = stack.enter_context(viewed(out, say)) if view else None
         gate = None if keys is None else Gate(bind, keys)
-        failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say, gate)
+        workers = workers or max(1, (os.cpu_count() or 1) // 2)
+        with Door(out) as door:
+            failed = hold(store, competition, secret, workers, say, gate, answering(door))
         store.close()  # so that it can be verified while the page is open
         total = len(course_of(out).trials)
         if failed:

@@ -87,6 +87,27 @@ class Course:
         return found
 
     @property
+    def paused(self) -> Mapping[str, str]:
+        """The reason why no trial of an entrant, or of `EVERYBODY`, is started, outside of a season."""
+        found: dict[str, str] = {}
+        for one in self.acts:
+            if one.act == journal.PAUSE:
+                found[one.subject] = one.reason
+            elif one.act == journal.RESUME:
+                found.pop(one.subject, None)
+            elif one.act == journal.CLOSE:
+                found.clear()
+        return found
+
+    @property
+    def images(self) -> set[str]:
+        """The ids with which somebody may still play: those of the entrants and, while the season is not
+        closed, all that have played, as any attempt can be run again.
+        """
+        played = [one for one in self.acts if one.act == journal.START] if self.in_season else []
+        return {one.id for one in (*self.entrants.values(), *played)}
+
+    @property
     def reruns(self) -> Mapping[TrialId, TrialId]:
         """The trial that was repeated, by the id of each repetition, oldest first."""
         return {

@@ -78,10 +78,17 @@ def test_a_mistake_is_one_line(tmp_path: Path, arguments: tuple[str, ...], words
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_page_logs_json_too(tmp_path: Path) -> None:
+    done = run("glue-compete", "page", str(tmp_path), "--log-format", "json", cwd=tmp_path)
+    (line,) = map(json.loads, done.stderr.splitlines())
+    assert line.keys() == {"time", "message"}
+    assert "holds no competition" in line["message"]
+
+
 def test_a_page_that_is_killed_is_started_again_and_ends_with_its_server(tmp_path: Path) -> None:
     lines: list[str] = []
     with Held(tmp_path / "spring") as held:
-        with season_viewed(held.directory, page="127.0.0.1:0", say=lines.append):
+        with season_viewed(held.directory, {"page": "127.0.0.1:0", "insecure": False}, lines.append):
             first = _page_of(held.directory)
             os.kill(first, signal.SIGKILL)
             wait_until(lambda: bool(lines), "the news of its end")
