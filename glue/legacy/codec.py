@@ -186,7 +186,7 @@ class Decoder:
             raise RemoteProtocolError(self._error)
         if self.buffered < self._needed and not self.overhang:
             return None
-        try:  # all in one function: three frames a step come here, and each call costs 0.1 microseconds
+        try:
             if self._later:
                 self._buffer, self._at = b"".join((self._buffer[self._at :], *self._later)), 0
                 self._later.clear()
