@@ -9,8 +9,8 @@ from typing import Final
 
 from glue.engine.engine import EPISODE_VERBS
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.legacy.codec import FROM_EXPERIMENT, TO_EXPERIMENT, Control, Frame, encode
-from glue.legacy.peers import LegacyPeer
+from glue.legacy.codec import FROM_EXPERIMENT, Control, Frame, encode
+from glue.legacy.peers import BASE, LegacyPeer
 from glue.legacy.states import EXPERIMENT, ExperimentEvent, ExperimentState
 from glue.types import Action, body_size
 from glue.wire.messages import Event, Kind, Message
@@ -21,7 +21,6 @@ _WAITING: Final = EXPERIMENT[_IDLE][ExperimentEvent.REQUEST]
 _REPLIED: Final = EXPERIMENT[_WAITING][ExperimentEvent.REPLY]
 _RL_STEP: Final = Kind.RL_STEP
 _STEP: Final = encode(Frame(_RL_STEP), FROM_EXPERIMENT)
-_NO_SCALARS: Final = ()
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
@@ -62,11 +61,58 @@ class LegacyExperiment(LegacyPeer):
     _ahead: Frame | None = None
     """The request after the newest one, if it was read before its turn."""
 
+    # Steps have a shorter way, as in `glue.legacy.peers.LegacyPlayer`.
+
+    def ready(self, now: float) -> None:
+        """Handle received data, and account for its memory."""
+        connection, decoder = self._connection, self._decoder
+        if self._state is not _IDLE or connection.unsent or decoder.buffered or self._ahead or self._closed:
+            super().ready(now)
+            return
+        data = connection.receive()
+        if data != _STEP or decoder.overhang:
+            self._work(now, data)
+            self._settle()
+            return
+        self._state, self._sends_ahead = _WAITING, False
+        self._seq += 1
+        self._request = _message(Message, (_RL_STEP, self._session, self._seq, (), b""))
+        sessions = self._sessions
+        sessions.receive(self, self._request, now)
+        connection.read(True)
+        if connection.closed or self._held != BASE or sessions.memory.exceeded:
+            self._settle()
+
+    def deliver(self, message: Message) -> bool:
+        """Accept a message from the sessions; return False if the program is gone."""
+        kind, _, seq, scalars, body = message
+        connection = self._connection
+        if (
+            kind is not _RL_STEP
+            or self._state is not _WAITING
+            or seq != self._seq
+            or not self._has_stepped
+            or self._decoder.buffered
+            or self._closed
+            or connection.closed
+        ):
+            return super().deliver(message)
+        try:
+            data = encode((kind, scalars, body), self._vocabulary)
+        except Exception:
+            return super().deliver(message)  # which meets it again
+        self._state = _REPLIED
+        connection.send(data)
+        self._loop.expect(connection)  # the next request soon follows
+        if connection.unsent or self._held != BASE:
+            self._account()
+        return True
+
     def _take(self, message: Message) -> bool:
         if self._state is ExperimentState.GONE:
             return False
-        kind, request = message[0], self._request
-        waiting = self._state is _WAITING or ExperimentEvent.REPLY in EXPERIMENT[self._state]
+        kind, request = message.kind, self._request
+        waiting = ExperimentEvent.REPLY in EXPERIMENT[self._state]
         if waiting and request is not None and message.seq == request.seq:
             if kind is request.kind:
                 self._reply(message)
@@ -96,15 +142,13 @@ class LegacyExperiment(LegacyPeer):
         elif kind is _RL_STEP or (kind is Kind.RL_EPISODE and self._num_steps() > 1):
             self._has_stepped = True
         try:
-            frame = encode((kind, scalars, body), TO_EXPERIMENT)
+            frame = encode((kind, scalars, body), self._vocabulary)
         except LocalProtocolError as error:
             self._on(ExperimentEvent.FAILURE)
             self._reset_later(str(error))
             return
-        self._state = _REPLIED if self._state is _WAITING else EXPERIMENT[self._state][ExperimentEvent.REPLY]
+        self._on(ExperimentEvent.REPLY)
         self._connection.send(frame)
-        if kind is _RL_STEP:
-            self._loop.expect(self._connection)  # the next request soon follows
         if self._closed:
             self._expect_end()
         if self._decoder.buffered or self._closed:
@@ -129,7 +173,7 @@ class LegacyExperiment(LegacyPeer):
         self._failure = f"was cut off: {why}"
         self._connection.later()
 
-    def _work(self, now: float) -> None:
+    def _work(self, now: float, data: bytes | None) -> None:
         connection = self._connection
         if self._state is ExperimentState.FAILED:
             self._on(ExperimentEvent.LEFT)
@@ -137,26 +181,15 @@ class LegacyExperiment(LegacyPeer):
             self._sessions.lose(self, self._failure, now)
             return
         try:
-            self._take_up(now)
+            self._take_up(now, data)
         except RemoteProtocolError as error:
             self._on(ExperimentEvent.LEFT)
             connection.reset()
             self._sessions.malformed(self, error, now)
 
-    def _take_up(self, now: float) -> None:
+    def _take_up(self, now: float, data: bytes | None) -> None:
         """Start at most one request, so that every session gets its turn, and receive more data."""
         connection, decoder = self._connection, self._decoder
-        data = None
-        if self._is_free and not (decoder.buffered or self._ahead or self._closed):
-            data = connection.receive()
-            if data == _STEP and not decoder.overhang:  # the usual case
-                self._seq += 1
-                self._sends_ahead = False
-                self._state = _WAITING
-                self._request = _message(Message, (_RL_STEP, self._session, self._seq, _NO_SCALARS, b""))
-                self._sessions.receive(self, self._request, now)
-                connection.read(True)
-                return
         if self._state is ExperimentState.RETRYING:
             assert self._request is not None
             self._seq += 1

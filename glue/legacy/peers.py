@@ -17,6 +17,7 @@ from glue.legacy.codec import (
     HEAD_SIZE,
     TO_AGENT,
     TO_ENVIRONMENT,
+    TO_EXPERIMENT,
     Decoder,
     Frame,
     Vocabulary,
@@ -27,12 +28,16 @@ from glue.legacy.states import PLAYER, PlayerEvent, PlayerState
 from glue.system import chance, clock
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
-_BASE: Final = 8192
+BASE: Final = 8192
 """Bytes that a program's connection and its peer use at most besides what it has received and not sent."""
 
 _CODEC: Final = "RL-Glue 3.x"
 
-_TO_PLAYER: Final[Mapping[Role, Vocabulary]] = {Role.AGENT: TO_AGENT, Role.ENVIRONMENT: TO_ENVIRONMENT}
+_TO: Final[Mapping[Role, Vocabulary]] = {
+    Role.AGENT: TO_AGENT,
+    Role.ENVIRONMENT: TO_ENVIRONMENT,
+    Role.EXPERIMENT: TO_EXPERIMENT,
+}
 
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _IDLE: Final = PlayerState.IDLE
@@ -41,6 +46,7 @@ _GONE: Final = PlayerState.GONE
 _CALL: Final = PlayerEvent.CALL
 _ANSWER: Final = PlayerEvent.ANSWER
 _CALLED: Final = PLAYER[_IDLE][_CALL]
+_STEPS: Final = frozenset((Kind.ENV_STEP, Kind.AGENT_STEP))
 _ANSWERED: Final = PLAYER[_BUSY][_ANSWER]
 
 _message: Final = tuple.__new__
@@ -59,6 +65,7 @@ class LegacyPeer:
         self._connection = connection
         self._decoder = decoder
         self._role = role
+        self._vocabulary = _TO[role]
         self._session = port.session
         self._port = port
         self._held = 0
@@ -88,7 +95,7 @@ class LegacyPeer:
             # An error of this program's connection must not interrupt another program.
             connection.fail()
             delivered = False
-        if not delivered or connection.unsent or self._held != _BASE:
+        if not delivered or connection.unsent or self._held != BASE:
             self._account()
         return delivered
 
@@ -117,12 +124,12 @@ class LegacyPeer:
     def _account(self) -> bool:
         """Account for data not handled yet or not sent; return False once the connection has closed.
 
-        Most messages leave nothing behind, and the account at `_BASE`: this is called only if one does.
+        Most messages leave nothing behind, and the account at `BASE`: this is called only if one does.
         """
         connection = self._connection
         held = 0
         if not connection.closed:
-            held = _BASE + self._decoder.buffered + connection.unsent + self._kept()
+            held = BASE + self._decoder.buffered + connection.unsent + self._kept()
         if held != self._held:
             self._held = held
             self._sessions.memory.account(self, held)
@@ -134,15 +141,19 @@ class LegacyPeer:
 
     def ready(self, now: float) -> None:
         """Handle received data, and account for its memory."""
-        self._work(now)
+        self._work(now, None)
+        self._settle()
+
+    def _settle(self) -> None:
+        """Account for the memory of what was received."""
         connection, memory = self._connection, self._sessions.memory
-        if self._decoder.buffered or connection.unsent or connection.closed or self._held != _BASE:
+        if self._decoder.buffered or connection.unsent or connection.closed or self._held != BASE:
             self._account()
         if memory.exceeded:
             memory.enforce()
 
-    def _work(self, now: float) -> None:
-        """Receive and handle data."""
+    def _work(self, now: float, data: bytes | None) -> None:
+        """Handle `data`, or receive it first if it is None."""
         raise NotImplementedError
 
     def _send(self, message: Message, now: float) -> None:
@@ -166,14 +177,48 @@ class LegacyPlayer(LegacyPeer):
     _substitute: Frame | None = None
     """The answer to a call that is not sent, since it cannot be written in the player's format."""
 
+    # Steps have a shorter way: a call of a Python function takes as long as all that it does for a step.
+
+    def ready(self, now: float) -> None:
+        """Handle received data, and account for its memory."""
+        connection, kind = self._connection, self._asked
+        if kind is None or self._state is not _BUSY:
+            super().ready(now)
+            return
+        data = connection.receive()
+        answer = self._decoder.answer(data, kind) if data else None
+        if answer is None:
+            self._work(now, data)
+            self._settle()
+            return
+        self._state, self._asked = _ANSWERED, None
+        sessions = self._sessions
+        sessions.receive(self, _message(Message, (kind, self._session, self._seq, *answer)), now)
+        if connection.closed or self._held != BASE or sessions.memory.exceeded:
+            self._settle()
+
+    def deliver(self, message: Message) -> bool:
+        """Accept a message from the sessions; return False if the program is gone."""
+        kind, _, seq, scalars, body = message
+        connection = self._connection
+        if self._state is not _IDLE or kind not in _STEPS or connection.closed:
+            return super().deliver(message)
+        try:
+            data = encode((kind, scalars, body), self._vocabulary)
+        except Exception:
+            return super().deliver(message)  # which meets it again
+        self._state, self._seq, self._asked = _CALLED, seq, kind
+        connection.send(data)
+        self._loop.expect(connection)
+        if connection.unsent or self._held != BASE:
+            self._account()
+        return True
+
     def _take(self, message: Message) -> bool:
         state, kind = self._state, message[0]
         if state is _GONE:
             return False
-        if state is _IDLE and kind in CALLS:
-            self._state = _CALLED
-            self._ask(message)
-        elif kind in CALLS:
+        if kind in CALLS:
             if state is not _BUSY or message[2] != self._seq:  # else the call under way is repeated
                 self._state = state = PLAYER[state][_CALL]
                 if state is _BUSY:
@@ -202,7 +247,7 @@ class LegacyPlayer(LegacyPeer):
     def _ask(self, call: Message) -> None:
         kind, _, self._seq, scalars, body = call
         try:
-            data = encode((kind, scalars, body), _TO_PLAYER[self._role])
+            data = encode((kind, scalars, body), self._vocabulary)
         except LocalProtocolError as error:
             self._substitute = Frame(Kind.ERROR, (str(ErrorCode.EXCEPTION), str(error)))
             self._connection.later()
@@ -211,21 +256,13 @@ class LegacyPlayer(LegacyPeer):
             self._connection.send(data)
             self._loop.expect(self._connection)
 
-    def _work(self, now: float) -> None:
+    def _work(self, now: float, data: bytes | None) -> None:
         connection, decoder = self._connection, self._decoder
         if self._substitute is not None:
             substitute, self._substitute = self._substitute, None
             self._finish_call(substitute, now)
-        data = connection.receive()
-        kind = self._asked
-        if data and kind is not None and self._state is _BUSY:
-            content = decoder.answer(data, kind)
-            if content is not None:  # the usual case
-                self._asked = None
-                self._state = _ANSWERED
-                message = _message(Message, (kind, self._session, self._seq, *content))
-                self._sessions.receive(self, message, now)
-                return
+        if data is None:
+            data = connection.receive()
         if data:
             decoder.receive_data(data)
         try:

@@ -17,8 +17,9 @@ from glue.client.players import serve_agent, serve_environment
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy import peers
+from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.gateway import Gateway
-from glue.legacy.peers import LegacyPeer
+from glue.legacy.peers import LegacyPeer, LegacyPlayer
 from glue.roles import Agent, Environment
 from glue.wire.messages import MAX_BODY, Message
 from tests.system.legacy.legacy_client import (
@@ -168,33 +169,38 @@ def _true_accounts() -> Iterator[None]:
     """Check that the memory of each program is accounted for after each of its turns and messages."""
     wrong: list[str] = []
     at_work: list[LegacyPeer] = []
-    turn, deliver = LegacyPeer.ready, LegacyPeer.deliver
 
     def check(peer: LegacyPeer) -> None:
         connection = peer._connection
         kept = peer._decoder.buffered + connection.unsent + peer._kept()
-        used = 0 if connection.closed else peers._BASE + kept
+        used = 0 if connection.closed else peers.BASE + kept
         held = peer._sessions.memory.accounts.get(peer, 0)
         if held != used:
             wrong.append(f"{type(peer).__name__} uses {used} bytes and accounts for {held}")
 
-    def checked_turn(peer: LegacyPeer, now: float) -> None:
-        at_work.append(peer)
-        try:
-            turn(peer, now)
-        finally:
-            at_work.remove(peer)
-        check(peer)
+    def check_class(patched: pytest.MonkeyPatch, of: type[LegacyPeer]) -> None:
+        turn, deliver = of.ready, of.deliver
 
-    def checked_delivery(peer: LegacyPeer, message: Message) -> bool:
-        open_before = not peer._connection.closed
-        delivered = deliver(peer, message)
-        if open_before and peer not in at_work:
+        def checked_turn(peer: Any, now: float) -> None:
+            at_work.append(peer)
+            try:
+                turn(peer, now)
+            finally:
+                at_work.remove(peer)
             check(peer)
-        return delivered
+
+        def checked_delivery(peer: Any, message: Message) -> bool:
+            open_before = not peer._connection.closed
+            delivered = deliver(peer, message)
+            if open_before and peer not in at_work:
+                check(peer)
+            return delivered
+
+        patched.setattr(of, "ready", checked_turn)
+        patched.setattr(of, "deliver", checked_delivery)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(LegacyPeer, "ready", checked_turn)
-        patched.setattr(LegacyPeer, "deliver", checked_delivery)
+        check_class(patched, LegacyPlayer)
+        check_class(patched, LegacyExperiment)
         yield
     assert not wrong
