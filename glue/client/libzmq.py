@@ -19,6 +19,7 @@ from glue.keys.certificates import KeyPair
 from glue.keys.certificates import decode as decode_key
 from glue.keys.certificates import encode as encode_key
 from glue.system import threads
+from glue.system.spinning import Spin
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import MAX_BODY, MAX_HEADER, Message
 
@@ -121,9 +122,9 @@ class DealerTransport:
         self._wait_ms = max(1, int(seconds * 1000))
         self.socket.setsockopt(zmq.RCVTIMEO, self._wait_ms)
 
-    def spin_for(self, seconds: float) -> None:
+    def spin_with(self, spin: Spin) -> None:
         """Do nothing: libzmq's own threads wait for messages."""
-        del seconds
+        del spin
 
     def send_message(self, message: Message) -> bool:
         """Send a message, like `send`."""

@@ -18,6 +18,7 @@ from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolErr
 from glue.hub.config import check_session
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.system import chance, clock, spinning
+from glue.system.spinning import LONG_SPIN_SECONDS, SPIN_SECONDS, Spin, cores_are_free
 from glue.wire.codec import UnknownKind, clip
 from glue.wire.messages import CALLS, MAX_BODY, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from glue.client.libzmq import Context
 
 _CALLS: Final = frozenset(CALLS)
+
+_PLAYERS: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
 
 _CODEC: Final = f"Python {platform.python_version()}"
 _HEARTBEAT: Final = 1.0
@@ -69,9 +72,11 @@ class Link:
         self._heartbeat, self._timeout = _HEARTBEAT, _TIMEOUT
         self._transport = transport or open_transport(hub, context, key)
         self._transport.wait_at_most(_HEARTBEAT if wait is None else min(_HEARTBEAT, wait))
-        many_games = any("batch" in capabilities for _, capabilities in names.values())
-        if many_games and spinning.SEVERAL_CORES:
-            self._transport.spin_for(spinning.LONG_SPIN_SECONDS)
+        if spinning.SEVERAL_CORES:
+            if any("batch" in capabilities for _, capabilities in names.values()):
+                self._transport.spin_with(Spin(LONG_SPIN_SECONDS))
+            elif role in _PLAYERS and len(names) == 1:  # calls in several sessions come together
+                self._transport.spin_with(Spin(SPIN_SECONDS, cores_are_free))
         self._greeted = 0  # number of the connection that was greeted last; also the `seq` of that HELLO
         self._welcomed: dict[str, None] = {}  # sessions joined over that connection, in order
         self._known = False  # whether a hub has ever welcomed us

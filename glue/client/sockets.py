@@ -66,8 +66,8 @@ class Transport(Protocol):
         """Set how long `receive_message` waits."""
         ...
 
-    def spin_for(self, seconds: float) -> None:
-        """Poll for a message for `seconds` before sleeping, if that is possible here."""
+    def spin_with(self, spin: Spin) -> None:
+        """Let `spin` decide whether to poll for a message before sleeping, if that is possible here."""
         ...
 
     def send_message(self, message: Message) -> bool:
@@ -131,9 +131,9 @@ class SocketTransport:
         """Set how long `receive_message` waits, in seconds."""
         self._wait = seconds
 
-    def spin_for(self, seconds: float) -> None:
-        """Poll for a message for `seconds` before sleeping."""
-        self._spin = Spin(seconds)
+    def spin_with(self, spin: Spin) -> None:
+        """Let `spin` decide whether to poll for a message before sleeping."""
+        self._spin = spin
 
     def send_message(self, message: Message) -> bool:
         """Send a message; return False, having sent nothing, if there is no connection.

@@ -18,6 +18,9 @@ from typing import Final, TypeVar
 
 from glue.system import clock
 
+SPIN_SECONDS: Final = 100e-6
+"""Seconds to poll for an expected message: fast players, and their hub, answer within this time."""
+
 LONG_SPIN_SECONDS: Final = 300e-6
 """Seconds to poll for a message of many games: 64 games of Infinite Mario are stepped within this time."""
 
@@ -36,7 +39,23 @@ _MAX_REST: Final = 10.0
 _MAX_MISSES: Final = 8
 """Maximum of n, where after n spins in a row without success the next 2**n waits do not spin."""
 
+_CHECKED: Final = 64
+"""Number of waits for which it is assumed that cores are free, or are not."""
+
 T = TypeVar("T")
+
+
+def cores_are_free() -> bool:
+    """Return whether all programs that want to run now fit on the cores that this process may use.
+
+    Where the system does not tell, return False.
+    """
+    try:
+        with open("/proc/loadavg") as file:
+            running = int(file.read().split()[3].partition("/")[0])
+    except OSError:
+        return False
+    return running <= len(os.sched_getaffinity(0))
 
 
 class Spin:
@@ -44,12 +63,16 @@ class Spin:
 
     Args:
         seconds: duration of a poll; may be set later.
+        free: tells whether cores are free. If it is given, nothing is polled while they are not, or while the
+            core is not yielded, as by a player: it would take the time of the hub or of the other player.
     """
 
-    __slots__ = ("_misses", "_rest", "_skipped", "_yield_at", "seconds")
+    __slots__ = ("_checked", "_free", "_misses", "_rest", "_skipped", "_yield_at", "seconds")
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, seconds: float, free: Callable[[], bool] | None = None) -> None:
         self.seconds: float = seconds
+        self._free = free
+        self._checked = 0  # the number of waits still to come until `free` is asked again
         self._misses = 0
         self._skipped = 0  # the number of waits still to come without a spin
         self._yield_at = 0.0  # the time from which the core is yielded
@@ -60,9 +83,16 @@ class Spin:
         if self._skipped:
             self._skipped -= 1
             return None
+        if self._free is not None:
+            if not self._checked:
+                if not self._free():
+                    self._skipped = _CHECKED
+                    return None
+                self._checked = _CHECKED
+            self._checked -= 1
         began = before = clock.monotonic()
         yielding = began >= self._yield_at
-        if not yielding and not SEVERAL_CORES:
+        if not yielding and (self._free is not None or not SEVERAL_CORES):
             return None  # on a single core no peer could answer meanwhile
         while True:
             if yielding:

@@ -29,6 +29,7 @@ from glue.errors import ConfigError, GlueError, PeerFailed, RemoteProtocolError,
 from glue.hub.io.loop import READ, Loop
 from glue.plugins.batched import BatchedEnvironments
 from glue.roles import capabilities
+from glue.system.spinning import LONG_SPIN_SECONDS, SPIN_SECONDS
 from glue.types import Step
 from tests.hubs import over_the_hub
 from tests.pages import DOCS, blocks, section
@@ -149,16 +150,17 @@ def test_an_agent_for_single_games_is_refused_by_name(glue: Glue) -> None:
 
 
 def test_peers_of_many_games_spin_longer_before_they_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
-    spun: list[str] = []
+    spun: list[float] = []
     monkeypatch.setattr("glue.system.spinning.SEVERAL_CORES", True)
-    monkeypatch.setattr(SocketTransport, "spin_for", lambda transport, seconds: spun.append("player"))
-    monkeypatch.setattr(Loop, "spin_longer", lambda loop: spun.append("hub"))
+    monkeypatch.setattr(SocketTransport, "spin_with", lambda transport, spin: spun.append(spin.seconds))
+    monkeypatch.setattr(Loop, "spin_longer", lambda loop: spun.append(0.0))
     with over_the_hub(ScriptedAgent(), ScriptedEnvironment()) as experiment:
         experiment.rl_init()
-    assert spun == []
+    assert spun == [SPIN_SECONDS, SPIN_SECONDS]
+    spun.clear()
     with over_the_hub(Vector(), BatchedEnvironments([ScriptedEnvironment()])) as experiment:
         experiment.rl_init()
-    assert sorted(spun) == ["hub", "hub", "player", "player"]
+    assert sorted(spun) == [0.0, 0.0, LONG_SPIN_SECONDS, LONG_SPIN_SECONDS]
 
 
 class Answering:

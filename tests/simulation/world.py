@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from greenlet import GreenletExit, getcurrent, greenlet
 
-from glue.system import chance, clock, network, threads
+from glue.system import chance, clock, network, spinning, threads
 
 READ_SECONDS: Final = 1e-6
 """Virtual time that passes when the clock is read; without it, a loop until some time would never end."""
@@ -213,6 +213,7 @@ class World:
             (clock, "sleep", self.sleep),
             (clock, "give_way", self.give_way),
             (chance, "random_bytes", self.random_bytes),
+            (spinning, "SEVERAL_CORES", False),
             (threads, "RLock", partial(_RLock, self)),
             (threads, "Event", partial(_Event, self)),
             (threads, "Thread", partial(_Thread, self)),

@@ -26,6 +26,7 @@ from glue.hub.sessions import INSTANCE_SIZE
 from glue.pace import Pace
 from glue.roles import AgentLike, EnvironmentLike
 from glue.system import chance, clock
+from glue.system.spinning import Spin
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
@@ -78,7 +79,7 @@ class InsideTransport:
         """Set how long `receive_message` waits, in seconds."""
         self._wait = seconds
 
-    def spin_for(self, seconds: float) -> None:
+    def spin_with(self, spin: Spin) -> None:
         """Do nothing: the hub's loop polls."""
 
     def send_message(self, message: Message) -> bool:

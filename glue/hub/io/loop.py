@@ -18,7 +18,7 @@ from heapq import heappop, heappush
 from typing import Final, Protocol, TypeVar
 
 from glue.system import clock, network, threads
-from glue.system.spinning import LONG_SPIN_SECONDS, Spin
+from glue.system.spinning import LONG_SPIN_SECONDS, SPIN_SECONDS, Spin
 
 READ: Final = network.POLLIN
 WRITE: Final = network.POLLOUT
@@ -30,9 +30,6 @@ _SHARE: Final = 0.2
 
 _MAX_SAVED: Final = 0.02
 """Seconds of its share that the queue can save up while it is empty."""
-
-_SPIN_SECONDS: Final = 100e-6
-"""Seconds to poll for an expected answer before the loop sleeps: fast players answer within this time."""
 
 _DIRECT: Final = 32
 """Number of spins, which read only from the peer that was sent a call, per poll of all descriptors."""
@@ -96,7 +93,7 @@ class Loop:
         self._saved_at = 0.0
         self._expected: Source | None = None
         self._several = False  # answers of several sources are expected
-        self._spin = Spin(_SPIN_SECONDS)
+        self._spin = Spin(SPIN_SECONDS)
         self._spins = 0
         self._mutex = threads.RLock()  # it knows whether this thread holds it
         self._times_asked = 0

@@ -12,6 +12,7 @@ from glue.client.experiment import RemoteExperiment, connect_over
 from glue.client.players import _serve
 from glue.client.target import Target
 from glue.system import clock
+from glue.system.spinning import Spin
 from glue.wire.messages import Kind, Message, Role
 
 HEARTBEAT = 1.0
@@ -80,7 +81,7 @@ class Dialogue:
 
     # The transport.
 
-    def spin_for(self, seconds: float) -> None:
+    def spin_with(self, spin: Spin) -> None:
         pass
 
     def wait_at_most(self, seconds: float) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import time
+from pathlib import Path
 
 import pytest
 
 from glue.system import clock, spinning
-from glue.system.spinning import Spin
+from glue.system.spinning import Spin, cores_are_free
 
 ENDLESS = 60.0
 
@@ -52,3 +54,20 @@ def test_a_core_that_was_lost_to_another_program_is_not_yielded_for_long(
     for _ in range(100):
         assert spin.until_found(nothing) is None
     assert nothing.looks == 1
+
+
+def test_a_spin_that_needs_free_cores_is_left_out_while_there_are_none() -> None:
+    free = iter([True, False, True, False])
+    spin, there = Spin(ENDLESS, lambda: next(free)), Arriving(1)
+    found = []
+    for _ in range(3 * 64 + 2):
+        there.looks = 0
+        found.append(spin.until_found(there))
+    assert found == ["here"] * 64 + [None] * 65 + ["here"] * 64 + [None]
+
+
+def test_cores_are_free_if_all_programs_that_want_to_run_have_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: range(10**6), raising=False)
+    assert cores_are_free() is Path("/proc/loadavg").exists()
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: (), raising=False)
+    assert not cores_are_free()
