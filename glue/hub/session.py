@@ -40,6 +40,7 @@ _AGENT_START: Final = Kind.AGENT_START
 _ERROR: Final = Kind.ERROR
 _RL_ENV_START: Final = Kind.RL_ENV_START
 _RL_ENV_STEP: Final = Kind.RL_ENV_STEP
+_RL_EPISODE: Final = Kind.RL_EPISODE
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
@@ -460,9 +461,9 @@ class Session:
                 body = readable(body[0], reads) + body[1]
             elif kind is _RL_ENV_STEP or kind is _RL_ENV_START:
                 body = readable(body, reads)
-            if kind is Kind.RL_EPISODE and OUTCOME in reads:
+            if kind is _RL_EPISODE and OUTCOME in reads:
                 scalars += (self._engine.total_reward, self._engine.num_steps)
-            if kind is Kind.RL_NUM_STEPS and self._pacer is not None and PACE in reads:
+            if self._pacer is not None and kind is Kind.RL_NUM_STEPS and PACE in reads:
                 scalars += (self._pacer.num_late,)
             reply = _message(Message, (kind, self.name, self._request_seq, scalars, body or b""))
             self._answer_experiment(reply)

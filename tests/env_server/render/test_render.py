@@ -27,6 +27,7 @@ from env_server.render.text import draw_text
 from glue.cli.screen import TerminalScreen, has_color
 from glue.errors import ConfigError, SimulatorError
 from glue.types import Observation
+from tests.clock import Clock
 from tests.proof import size
 
 SCREEN = """
@@ -151,15 +152,6 @@ def test_text_lets_no_control_character_through() -> None:
     observation = screen(tiles="\n")
     observation = Observation(observation.ints, observation.doubles, tiles[1:].encode("latin-1"))
     assert all(line.isprintable() for line in draw_text(observation))
-
-
-class Clock:
-    """A clock that stands still until it is set."""
-
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 @pytest.fixture

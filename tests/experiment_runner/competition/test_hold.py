@@ -379,7 +379,7 @@ def test_only_what_was_verified_is_on_the_board(run: Path) -> None:
 
 
 def test_check_plays_every_task_and_reports_to_every_owner(tmp_path: Path) -> None:
-    short = FILE.replace("steps = 200", "steps = 200\nmax_steps = 40").replace('"raise"', '"walk"', 1)
+    short = FILE.replace("steps = 200", "steps = 200, max_steps = 40").replace('"raise"', '"walk"', 1)
     write(tmp_path, short.partition("[entrants.raise]")[0])
     done = compete(tmp_path, "check", "spring.toml")
     assert done.returncode == 1, done.stderr

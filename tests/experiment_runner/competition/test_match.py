@@ -20,6 +20,7 @@ from glue.errors import GlueError
 from glue.trajectory import Ending, Episode, TrajectoryReader
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
+from tests.clock import Clock
 from tests.experiment_runner.competition.players import (
     SECRET,
     Dawdler,
@@ -90,14 +91,6 @@ def test_every_entrant_meets_the_same_level_and_another_in_each_trial() -> None:
     assert levels["alice/walk/0"] == levels["bob/walk/0"]
     assert levels["alice/walk/0"] != levels["alice/walk/1"]
     assert trials(competition("alice", "bob", trials=2, env="mario"), SECRET + b"!") != specs
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Thinker(Walker):

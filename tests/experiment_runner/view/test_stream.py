@@ -91,7 +91,7 @@ def test_a_change_that_is_found_while_the_last_page_goes_away_is_not_lost(tmp_pa
         def changes(self) -> dict[str, dict[str, Any] | None]:
             found = super().changes()
             looking.release()
-            assert go_on.acquire(timeout=30)
+            assert go_on.acquire(timeout=60)
             return found
 
     store = make_run(tmp_path / "a")  # stays open, so that reading it changes no file

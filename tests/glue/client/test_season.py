@@ -288,6 +288,6 @@ def test_a_program_without_keys_plays_through_a_relay(tmp_path: Path) -> None:
             glue.rl_init(1)
             ends = [glue.rl_episode(50) for _ in range(3)]
             hub.stop("the experiment is over")
-            player.join(10)
+            player.join(60)
     assert not player.is_alive()
     assert len(ends) == 3

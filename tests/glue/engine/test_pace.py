@@ -17,17 +17,9 @@ from glue.errors import ConfigError, PeerFailed, RemoteProtocolError, Unsupporte
 from glue.pace import Pace
 from glue.types import Action
 from glue.wire.messages import Kind
+from tests.clock import Clock
 from tests.hubs import over_the_hub
 from tests.players import ScriptedAgent, ScriptedEnvironment
-
-
-class Clock:
-    """A clock that stands still until it is set."""
-
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Thinking(ScriptedAgent):

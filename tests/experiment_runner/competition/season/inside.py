@@ -43,11 +43,8 @@ code_env = "CODE"
 attempts_per_day = 3
 parallel = 2
 failures = 2
-[tasks.mines]
-env = "mines"
-options = { random_start = true }
-steps = 20
-phase = "proving"
+[tasks]
+mines = { env = "mines", options = { random_start = true }, steps = 20, phase = "proving" }
 """
 
 

@@ -26,18 +26,10 @@ seed_env = "S"
 opens = 2026-12-01T00:00:00Z
 closes = 2026-12-20T00:00:00Z
 enrol = "open"
-[tasks.walk]
-env = "skeleton"
-episodes = 1
-phase = "proving"
-[tasks.unseen]
-env = "skeleton"
-episodes = 1
-phase = "proving"
-hidden = true
-[tasks.final]
-env = "skeleton"
-episodes = 1
+[tasks]
+walk = { env = "skeleton", episodes = 1, phase = "proving" }
+unseen = { env = "skeleton", episodes = 1, phase = "proving", hidden = true }
+final = { env = "skeleton", episodes = 1 }
 """
 
 SECRET = b"nobody knows"

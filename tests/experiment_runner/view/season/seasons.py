@@ -38,12 +38,8 @@ closes = 2026-12-01T00:00:00
 enrol = "open"
 names = "{names}"
 parallel = 2
-[tasks.mines]
-env = "mines"
-options = {{ random_start = true }}
-episodes = 2
-max_steps = 30
-phase = "proving"
+[tasks]
+mines = {{ env = "mines", options.random_start = true, episodes = 2, max_steps = 30, phase = "proving" }}
 [tasks.deep]
 env = "mines"
 options = {{ random_start = true }}
