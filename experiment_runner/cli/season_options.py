@@ -32,7 +32,7 @@ class _JsonLines:
         """Write what is complete of a text; lines that come in one piece are one message."""
         with self._lock:
             message, end, self._begun = (self._begun + text).rpartition("\n")
-            if end:
+            if end and message:
                 now = datetime.now(UTC).isoformat(timespec="milliseconds")
                 self._stream.write(json.dumps({"time": now, "message": message}) + "\n")
         return len(text)
