@@ -13,13 +13,14 @@ import numpy.typing as npt
 
 from env_server.mario.level_sets import TYPES, LevelSet, level_seed, splitmix
 from env_server.mario.many.views import View, write_view
-from env_server.mario.observation import BODY_SIZE, encode
+from env_server.mario.observation import BODY_SIZE, COLUMNS_SHOWN, encode
 from env_server.mario.parameters import Parameters
 from env_server.mario.reward import ordinary_reward, terminal_reward
 from env_server.mario.sim.state import LEVEL, WORLD, LevelMap, Levels, World, Worlds
 from env_server.mario.sim.step import act, begin
 from glue.closing import Closing
 from glue.compiled.jit import announce_compilation, entry, jit
+from glue.compiled.memory import copy_bytes, prefetch, uncounted
 from glue.compiled.records import Array, Flag, Int, Real, Word, layout
 from glue.compiled.threads import Gate, Threads, begin_turn, claim, end_turn, nothing
 from glue.errors import SimulatorError
@@ -70,11 +71,22 @@ class Setup:
     difficulties: Int
     level_type: Int  # -1: that of the level's number
     level_difficulty: Int
+    copies: Annotated[npt.NDArray[np.int64], np.int64, 2]  # addresses of copies of the views, or 0
 
 
 # Records whose fields are attributes in uncompiled code, too.
 _LANE: Final = np.dtype((np.record, layout(Lane)))
 _SETUP: Final = np.dtype((np.record, layout(Setup)))
+
+_FAR: Final = 2**18
+"""Bytes of views beyond which threads copy their own: one thread would fetch them from the other's cache."""
+
+# In bytes.
+_LINE: Final = 64
+_LANE_SIZE: Final = _LANE.itemsize
+_LEVEL_SIZE: Final = LEVEL.itemsize
+_WORLD_SIZE: Final = WORLD.itemsize
+_NUMBERS, _END_OF_NUMBERS = (WORLD.fields[name][1] for name in ("level_seed", "changed"))  # type: ignore[index]
 
 
 class Games(Closing):
@@ -89,6 +101,7 @@ class Games(Closing):
         levels: levels of the episodes; None for those of the tasks.
         level_type, level_difficulty: of all episodes on `levels`; -1 for those of the level's number.
         finals: whether to keep the last views of episodes that ended in the same step.
+        copies: whether `shown` returns copies.
 
     Attributes:
         cells, reals: the current views, shapes (N, bytes) and (N, reals) of the view.
@@ -109,6 +122,7 @@ class Games(Closing):
         level_type: int = -1,
         level_difficulty: int = -1,
         finals: bool = False,
+        copies: bool = False,
     ) -> None:
         count = len(tasks)
         self.lanes: Array = np.zeros(count, _LANE)
@@ -132,6 +146,8 @@ class Games(Closing):
         kept = count if finals else 0
         self.final_cells: Bytes = np.zeros((kept, view.bytes), np.uint8)
         self.final_reals: Reals = np.zeros((kept, view.reals), np.float32)
+        self._copies = copies
+        self._far = copies and threads > 1 and self.cells.nbytes + self.reals.nbytes > _FAR
         self.lanes["place"] = np.arange(count) % len(self.levels)
         self._orders = np.full(count, _LEAVE, np.int8)
         self._threads = Threads(1, count)
@@ -195,6 +211,12 @@ class Games(Closing):
             self._run(then)
         return refused
 
+    def shown(self) -> tuple[Bytes, Reals]:
+        """Return the current views, shaped as `cells` and `reals`: copies if this object was made so."""
+        if self._far:
+            return self._copied
+        return (self.cells.copy(), self.reals.copy()) if self._copies else (self.cells, self.reals)
+
     def observation(self, i: int) -> Observation:
         """Return game `i` as an RL-Glue agent would see it now."""
         body = np.zeros(BODY_SIZE, np.uint8)
@@ -205,6 +227,9 @@ class Games(Closing):
     def _run(self, then: Callable[[], None] = nothing, levels: Levels | None = None) -> None:
         shown = (self.cells, self.reals, self.final_cells, self.final_reals)
         levels = self.levels if levels is None else levels
+        if self._far:
+            self._copied = np.empty_like(self.cells), np.empty_like(self.reals)
+            self._setup["copies"] = [one.ctypes.data for one in self._copied]
         games = (self.worlds, levels, self.lanes, self._setup, self._orders)
         self._threads.run(_advance, *games, *shown, then=then)
 
@@ -297,10 +322,14 @@ def _advance(
     One function does everything, because the rules are compiled into every function that calls them.
     """
     setup: Setup = setups[0]
+    worlds, levels, lanes = uncounted(worlds), uncounted(levels), uncounted(lanes)
+    cells, reals = uncounted(cells), uncounted(reals)
+    final_cells, final_reals = uncounted(final_cells), uncounted(final_reals)
     while begin_turn(gate, worker):
         first, last = claim(gate, worker)
         while first < last:
             for i in range(first, last):
+                _look_ahead(worlds, levels, lanes, i)
                 if orders[i] == _LEAVE:
                     continue
                 world: World = worlds[i]
@@ -327,9 +356,46 @@ def _advance(
                 # The observation of a terminal step is the previous one, as in the original.
                 if begins or not lane.terminated:
                     lane.size = write_view(world, level, setup.view_number, cells[i], reals[i])
+            if setup.copies[0] != 0:
+                row = cells.shape[1]
+                copy_bytes(
+                    setup.copies[0] + first * row, cells.ctypes.data + first * row, (last - first) * row
+                )
+                row = 4 * reals.shape[1]
+                copy_bytes(
+                    setup.copies[1] + first * row, reals.ctypes.data + first * row, (last - first) * row
+                )
             first, last = claim(gate, worker)
         if end_turn(gate, worker):
             return
+
+
+@jit
+def _look_ahead(worlds: Worlds, levels: Levels, lanes: Array, i: int) -> None:
+    """Ask for the memory that the two games after game `i` need: of many games, it is in no near cache."""
+    if i + 2 < len(worlds):
+        _ask(lanes.ctypes.data + (i + 2) * _LANE_SIZE, _LANE_SIZE)
+        at = worlds.ctypes.data + (i + 2) * _WORLD_SIZE
+        _ask(at, 3 * _LINE)  # Mario, and the first of the other actors
+        _ask(at + _NUMBERS, _END_OF_NUMBERS - _NUMBERS)
+    if i + 1 < len(worlds) and lanes[i + 1].place < len(levels):
+        world: World = worlds[i + 1]
+        place = lanes[i + 1].place
+        level: LevelMap = levels[place]
+        column = int(world.drawn_camera) // 16
+        _ask(levels.ctypes.data + place * _LEVEL_SIZE, 1)
+        _ask(level.cells.ctypes.data + 8 * column, 8 * COLUMNS_SHOWN)
+        _ask(world.changed.ctypes.data + 2 * column, 2 * COLUMNS_SHOWN)
+        _ask(world.dead.ctypes.data + 2 * (column + COLUMNS_SHOWN), 1)
+        _ask(level.spawning.ctypes.data + 2 * (column + COLUMNS_SHOWN), 1)
+        _ask(world.order.ctypes.data, 1)
+
+
+@jit
+def _ask(address: int, size: int) -> None:
+    """Ask for the cache lines of `size` bytes."""
+    for at in range(address, address + size + _LINE - 1, _LINE):
+        prefetch(at)
 
 
 @jit
