@@ -127,7 +127,6 @@ def make_games(
     levels: str | None = None,
     num_levels: int | None = None,
     start_level: int | None = None,
-    copies: bool = False,
 ) -> Games:
     """Return N games of a task.
 
@@ -136,7 +135,7 @@ def make_games(
         view: name of a view.
         options: those of `InfiniteMario`.
         max_episode_steps: steps after which an episode is cut off; None for no such limit.
-        mode, threads, copies: see `Games`.
+        mode, threads: see `Games`.
         levels, num_levels, start_level: see `env_server.mario.level_sets`.
 
     Raises:
@@ -161,7 +160,6 @@ def make_games(
         level_type=options.get("level_type", -1),
         level_difficulty=options.get("level_difficulty", -1),
         finals=mode == SAME_STEP,
-        copies=copies,
     )
 
 

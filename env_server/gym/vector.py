@@ -94,8 +94,8 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             levels=levels,
             num_levels=num_levels,
             start_level=start_level,
-            copies=copy,
         )
+        self._games.copies = copy
         self.single_observation_space: Space[Any] = observation_space(observation)
         self.observation_space: Space[Any] = batch_space(self.single_observation_space, num_envs)
         self.metadata = {**type(self).metadata, "autoreset_mode": mode}

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from numba.core import cgutils, config, types
 from numba.extending import intrinsic
 
 Held = TypeVar("Held")
+
+_LINE: Final = 64
+"""Bytes of a cache line."""
 
 if config.DISABLE_JIT:  # type: ignore[attr-defined]
 
@@ -17,16 +20,15 @@ if config.DISABLE_JIT:  # type: ignore[attr-defined]
         """Return `array`."""
         return array
 
-    def prefetch(address: int) -> None:
+    def prefetch(array: Any, byte: int, lines: int) -> None:
         """Do nothing."""
 
     def copy_bytes(target: int, source: int, count: int) -> None:
-        """Copy `count` bytes between two addresses."""
+        """Copy `count` bytes from one address to another."""
         ctypes.memmove(int(target), int(source), int(count))
 
 else:
-    _form = types.uintp(types.uintp, types.uintp, types.uintp)
-    copy_bytes = types.ExternalFunction("memcpy", _form)  # type: ignore[assignment]
+    copy_bytes = types.ExternalFunction("memcpy", types.uintp(*[types.uintp] * 3))  # type: ignore[assignment]
 
     @intrinsic
     def uncounted(typing: Any, array: Any) -> Any:
@@ -42,17 +44,21 @@ else:
 
         return array(array), generate
 
-    @intrinsic
-    def prefetch(typing: Any, address: Any) -> Any:
-        """Ask for a cache line that is needed soon; there need not be one."""
+    @intrinsic(prefer_literal=True)
+    def prefetch(typing: Any, array: Any, byte: Any, lines: Any) -> Any:
+        """Ask for cache lines, from a byte of `array` on, or before it; the number of lines is constant."""
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Sequence[Any]) -> Any:
-            byte, number = cgutils.voidptr_t, cgutils.int32_t
+            data = context.make_array(array)(context, builder, arguments[0]).data
+            pointer, number = cgutils.voidptr_t, cgutils.int32_t
             ir: Any = cgutils.ir  # type: ignore[attr-defined]
-            form = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
-            ask = builder.module.declare_intrinsic("llvm.prefetch", [byte], form)
-            # To write to; into the nearest cache; data.
-            builder.call(ask, [builder.inttoptr(arguments[0], byte), number(1), number(3), number(1)])
+            form = ir.FunctionType(ir.VoidType(), [pointer, number, number, number])
+            ask = builder.module.declare_intrinsic("llvm.prefetch", [pointer], form)
+            first = builder.gep(builder.bitcast(data, pointer), [arguments[1]])
+            for line in range(lines.literal_value):
+                # To write to; into the nearest cache; data.
+                at = builder.gep(first, [number(_LINE * line)])
+                builder.call(ask, [at, number(1), number(3), number(1)])
             return context.get_dummy_value()
 
-        return types.none(types.uintp), generate
+        return types.none(array, types.int64, lines), generate

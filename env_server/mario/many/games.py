@@ -81,13 +81,6 @@ _SETUP: Final = np.dtype((np.record, layout(Setup)))
 _FAR: Final = 2**18
 """Bytes of views beyond which threads copy their own: one thread would fetch them from the other's cache."""
 
-# In bytes.
-_LINE: Final = 64
-_LANE_SIZE: Final = _LANE.itemsize
-_LEVEL_SIZE: Final = LEVEL.itemsize
-_WORLD_SIZE: Final = WORLD.itemsize
-_NUMBERS, _END_OF_NUMBERS = (WORLD.fields[name][1] for name in ("level_seed", "changed"))  # type: ignore[index]
-
 
 class Games(Closing):
     """N games, each with a task. Close them at the end, or use them in a `with` statement.
@@ -101,9 +94,9 @@ class Games(Closing):
         levels: levels of the episodes; None for those of the tasks.
         level_type, level_difficulty: of all episodes on `levels`; -1 for those of the level's number.
         finals: whether to keep the last views of episodes that ended in the same step.
-        copies: whether `shown` returns copies.
 
     Attributes:
+        copies: whether `shown` returns copies; False at first.
         cells, reals: the current views, shapes (N, bytes) and (N, reals) of the view.
         final_cells, final_reals: the last views of episodes that are over.
         lanes: shape (N,); see `Lane`.
@@ -122,7 +115,6 @@ class Games(Closing):
         level_type: int = -1,
         level_difficulty: int = -1,
         finals: bool = False,
-        copies: bool = False,
     ) -> None:
         count = len(tasks)
         self.lanes: Array = np.zeros(count, _LANE)
@@ -146,8 +138,8 @@ class Games(Closing):
         kept = count if finals else 0
         self.final_cells: Bytes = np.zeros((kept, view.bytes), np.uint8)
         self.final_reals: Reals = np.zeros((kept, view.reals), np.float32)
-        self._copies = copies
-        self._far = copies and threads > 1 and self.cells.nbytes + self.reals.nbytes > _FAR
+        self.copies = False
+        self._far = threads > 1 and self.cells.nbytes + self.reals.nbytes > _FAR
         self.lanes["place"] = np.arange(count) % len(self.levels)
         self._orders = np.full(count, _LEAVE, np.int8)
         self._threads = Threads(1, count)
@@ -212,10 +204,10 @@ class Games(Closing):
         return refused
 
     def shown(self) -> tuple[Bytes, Reals]:
-        """Return the current views, shaped as `cells` and `reals`: copies if this object was made so."""
-        if self._far:
-            return self._copied
-        return (self.cells.copy(), self.reals.copy()) if self._copies else (self.cells, self.reals)
+        """Return the current views: `cells` and `reals`, or copies of them."""
+        if not self.copies:
+            return self.cells, self.reals
+        return self._copied if self._far else (self.cells.copy(), self.reals.copy())
 
     def observation(self, i: int) -> Observation:
         """Return game `i` as an RL-Glue agent would see it now."""
@@ -227,7 +219,7 @@ class Games(Closing):
     def _run(self, then: Callable[[], None] = nothing, levels: Levels | None = None) -> None:
         shown = (self.cells, self.reals, self.final_cells, self.final_reals)
         levels = self.levels if levels is None else levels
-        if self._far:
+        if self.copies and self._far:
             self._copied = np.empty_like(self.cells), np.empty_like(self.reals)
             self._setup["copies"] = [one.ctypes.data for one in self._copied]
         games = (self.worlds, levels, self.lanes, self._setup, self._orders)
@@ -357,45 +349,35 @@ def _advance(
                 if begins or not lane.terminated:
                     lane.size = write_view(world, level, setup.view_number, cells[i], reals[i])
             if setup.copies[0] != 0:
-                row = cells.shape[1]
-                copy_bytes(
-                    setup.copies[0] + first * row, cells.ctypes.data + first * row, (last - first) * row
-                )
-                row = 4 * reals.shape[1]
-                copy_bytes(
-                    setup.copies[1] + first * row, reals.ctypes.data + first * row, (last - first) * row
-                )
+                _copy_rows(setup.copies[0], cells.ctypes.data, first, last, cells.shape[1])
+                _copy_rows(setup.copies[1], reals.ctypes.data, first, last, 4 * reals.shape[1])
             first, last = claim(gate, worker)
         if end_turn(gate, worker):
             return
 
 
 @jit
-def _look_ahead(worlds: Worlds, levels: Levels, lanes: Array, i: int) -> None:
-    """Ask for the memory that the two games after game `i` need: of many games, it is in no near cache."""
-    if i + 2 < len(worlds):
-        _ask(lanes.ctypes.data + (i + 2) * _LANE_SIZE, _LANE_SIZE)
-        at = worlds.ctypes.data + (i + 2) * _WORLD_SIZE
-        _ask(at, 3 * _LINE)  # Mario, and the first of the other actors
-        _ask(at + _NUMBERS, _END_OF_NUMBERS - _NUMBERS)
-    if i + 1 < len(worlds) and lanes[i + 1].place < len(levels):
-        world: World = worlds[i + 1]
-        place = lanes[i + 1].place
-        level: LevelMap = levels[place]
-        column = int(world.drawn_camera) // 16
-        _ask(levels.ctypes.data + place * _LEVEL_SIZE, 1)
-        _ask(level.cells.ctypes.data + 8 * column, 8 * COLUMNS_SHOWN)
-        _ask(world.changed.ctypes.data + 2 * column, 2 * COLUMNS_SHOWN)
-        _ask(world.dead.ctypes.data + 2 * (column + COLUMNS_SHOWN), 1)
-        _ask(level.spawning.ctypes.data + 2 * (column + COLUMNS_SHOWN), 1)
-        _ask(world.order.ctypes.data, 1)
+def _copy_rows(target: int, source: int, first: int, last: int, size: int) -> None:
+    copy_bytes(target + first * size, source + first * size, (last - first) * size)
 
 
 @jit
-def _ask(address: int, size: int) -> None:
-    """Ask for the cache lines of `size` bytes."""
-    for at in range(address, address + size + _LINE - 1, _LINE):
-        prefetch(at)
+def _look_ahead(worlds: Worlds, levels: Levels, lanes: Array, i: int) -> None:
+    """Ask for the memory that the two games after game `i` need: of many games, it is in no near cache."""
+    if i + 2 < len(worlds):
+        world: World = worlds[i + 2]
+        prefetch(world.actors, 0, 3)
+        prefetch(world.changed, -256, 5)  # the numbers before it
+        prefetch(lanes[i + 2].info, -64, 3)
+    if i + 1 < len(worlds) and lanes[i + 1].place < len(levels):
+        world = worlds[i + 1]
+        level: LevelMap = levels[lanes[i + 1].place]
+        column = world.drawn_camera // 16
+        prefetch(level.cells, -32, 1)  # the numbers before it
+        prefetch(level.cells, 8 * column, 4)
+        prefetch(world.changed, 2 * column, 2)
+        prefetch(world.dead, 2 * (column + COLUMNS_SHOWN), 1)
+        prefetch(level.spawning, 2 * (column + COLUMNS_SHOWN), 1)
 
 
 @jit
