@@ -18,7 +18,7 @@ def _read_text(body: bytes) -> str:
 
 def _read_both(body: bytes) -> tuple[Observation, Action]:
     size = body_size(body)
-    return Observation.from_body(body[:size]), Action.from_body(body[size:])
+    return Observation._wrap(body[:size]), Action._wrap(body[size:])
 
 
 # The codec has already checked these bodies.

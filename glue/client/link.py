@@ -17,8 +17,7 @@ from glue.console import LOG, one_line
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.hub.config import check_session
 from glue.hub.sessions import INSTANCE_SIZE
-from glue.system import chance, clock
-from glue.system.spinning import LONG_SPIN_SECONDS, SEVERAL_CORES
+from glue.system import chance, clock, spinning
 from glue.wire.codec import UnknownKind, clip
 from glue.wire.messages import CALLS, MAX_BODY, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
@@ -71,8 +70,8 @@ class Link:
         self._transport = transport or open_transport(hub, context, key)
         self._transport.wait_at_most(_HEARTBEAT if wait is None else min(_HEARTBEAT, wait))
         many_games = any("batch" in capabilities for _, capabilities in names.values())
-        if many_games and SEVERAL_CORES:
-            self._transport.spin_for(LONG_SPIN_SECONDS)
+        if many_games and spinning.SEVERAL_CORES:
+            self._transport.spin_for(spinning.LONG_SPIN_SECONDS)
         self._greeted = 0  # number of the connection that was greeted last; also the `seq` of that HELLO
         self._welcomed: dict[str, None] = {}  # sessions joined over that connection, in order
         self._known = False  # whether a hub has ever welcomed us
@@ -100,8 +99,9 @@ class Link:
             LocalProtocolError: the body is larger than the hub accepts, or this is a fork of the process that
                 has made the connection.
         """
-        self._check_process()
-        if len(message.body) > self._max_body:
+        if os.getpid() != self._process:
+            raise self._forked()
+        if len(message[4]) > self._max_body:
             kind, size = message.kind.name, len(message.body)
             raise LocalProtocolError(f"the body of {kind} has {size} bytes; the hub takes {self._max_body}")
         self._transport.send_message(message)
@@ -115,7 +115,8 @@ class Link:
             Refused: the hub does not admit us.
             LocalProtocolError: this is a fork of the process that has made the connection.
         """
-        self._check_process()
+        if os.getpid() != self._process:
+            raise self._forked()
         try:
             message = self._transport.receive_message(self._max_body)
         except UnknownKind as error:
@@ -144,13 +145,12 @@ class Link:
             self._transport.send_message(Message(Kind.GOODBYE, session, 0, (clip(reason),)))
         self._transport.close(None if self._welcomed else 0)
 
-    def _check_process(self) -> None:
-        """Raise LocalProtocolError in a forked child, which would take the replies of its parent."""
-        if os.getpid() != self._process:
-            raise LocalProtocolError(
-                f"the connection to the hub at {self._hub} is that of process {self._process}, and this is a "
-                "fork of it: connect in each process"
-            )
+    def _forked(self) -> LocalProtocolError:
+        """Return the error of a forked child, which would take the replies of its parent."""
+        return LocalProtocolError(
+            f"the connection to the hub at {self._hub} is that of process {self._process}, and this is a "
+            "fork of it: connect in each process"
+        )
 
     def _end_silence(self) -> None:
         self._heard = True
@@ -213,8 +213,8 @@ class Link:
                 f"start one with glue-hub or glue-experiment, or check the address",
                 settings=("wait",),
             )
-        if self._heard:
-            self._heard = False
+        heard, self._heard = self._heard, False
+        if heard:
             self._received = now - self._heartbeat
         quiet = now - self._received
         if not self._silent and quiet >= (self._timeout if self._welcomed else self._heartbeat):
@@ -224,6 +224,6 @@ class Link:
                 "(start glue-hub, or glue-experiment, which has a hub of its own)",
                 self._hub,
             )
-        if self._transport.connected:
+        if self._transport.connected and not heard:  # or else the hub's next heartbeat is on its way
             for session in self._welcomed:
                 self.send(Message(Kind.HEARTBEAT, session, 0))

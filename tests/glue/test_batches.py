@@ -150,7 +150,7 @@ def test_an_agent_for_single_games_is_refused_by_name(glue: Glue) -> None:
 
 def test_peers_of_many_games_spin_longer_before_they_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
     spun: list[str] = []
-    monkeypatch.setattr("glue.client.link.SEVERAL_CORES", True)
+    monkeypatch.setattr("glue.system.spinning.SEVERAL_CORES", True)
     monkeypatch.setattr(SocketTransport, "spin_for", lambda transport, seconds: spun.append("player"))
     monkeypatch.setattr(Loop, "spin_longer", lambda loop: spun.append("hub"))
     with over_the_hub(ScriptedAgent(), ScriptedEnvironment()) as experiment:
@@ -164,14 +164,13 @@ def test_peers_of_many_games_spin_longer_before_they_sleep(monkeypatch: pytest.M
 class Answering:
     """A source of events whose answer arrives after 50 polls."""
 
-    def __init__(self, loop: Loop, fd: int) -> None:
+    def __init__(self, loop: Loop) -> None:
         self.looks = 0
         self._loop = loop
-        self._event = [(fd, READ)]
 
-    def glance(self) -> list[tuple[int, int]] | None:
+    def glance(self) -> bool | None:
         self.looks += 1
-        return self._event if self.looks == 50 else None
+        return True if self.looks == 50 else None
 
     def turn(self, now: float) -> None:
         self._loop.stop("it arrived")
@@ -183,7 +182,7 @@ def test_a_hub_that_expects_an_answer_does_not_sleep_meanwhile(monkeypatch: pyte
     loop = Loop(60.0, lambda line: None)
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        source = Answering(loop, ours.fileno())
+        source = Answering(loop)
         loop.watch(ours.fileno(), READ, source)
         loop.spin_longer()
         loop.expect(source)

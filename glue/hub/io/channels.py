@@ -94,7 +94,8 @@ class _SocketChannel:
             data += body
             body = b""
         joined = self._channels.joined
-        if kind in STEPS and joined is not None and not body:
+        is_step = kind in STEPS
+        if is_step and joined is not None and not body:
             joined.setdefault(self, []).append(data)
             return True
         if joined:
@@ -102,7 +103,7 @@ class _SocketChannel:
         connection.send(data)
         if body:
             connection.send(body)
-        if kind in STEPS:
+        if is_step:
             self._loop.expect(connection)
         if connection.unsent:
             self._account_for_data()
@@ -171,7 +172,7 @@ class _SocketChannel:
         elif data == b"":
             self._channels.drop(self, None)
             return
-        else:
+        elif not connection.reading:
             connection.read(True)
         if connection.unsent or self._held or not self._stream.empty:
             self._account_for_data()

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Final, Protocol
 
-from glue.hub.io.loop import FAILURE, READ, WRITE, Events, Loop
+from glue.hub.io.loop import FAILURE, READ, WRITE, Loop
 from glue.system import clock, network
 from glue.system.sockets import probe_when_silent
 
@@ -56,6 +56,7 @@ class Connection:
         in_turn: whether the last message of the peer was in turn; set by the owner.
         unsent: number of bytes kept until they are sent, as the peer does not read; 0 if all are sent. Of a
             large piece of data, the part that has been sent counts too: it is kept until the rest is sent.
+        reading: whether data is received; set by `read`.
         closed: whether the connection is closed.
     """
 
@@ -73,14 +74,13 @@ class Connection:
         self._unsent: deque[bytes | bytearray] = deque()
         self._sent = 0  # number of bytes of the first unsent piece that have been sent
         self.unsent: int = 0
-        self._reading = True
+        self.reading = True
         self._later = False
         self._queued = False
         self._finishing = False
         self._gone = False
         self._glanced: bytes | None = None
         self._watched = READ
-        self._event = [(connected.fileno(), READ)]
         loop.watch(connected.fileno(), READ, self)
 
     def fileno(self) -> int:
@@ -90,12 +90,12 @@ class Connection:
     @property
     def events(self) -> int:
         """The events to wait for."""
-        return (READ if self._reading else FAILURE) | (WRITE if self._unsent or self._later else FAILURE)
+        return (READ if self.reading else FAILURE) | (WRITE if self._unsent or self._later else FAILURE)
 
     def read(self, wanted: bool) -> None:
         """Set whether to receive data, or to leave it unread, which holds the peer back."""
-        if wanted != self._reading:
-            self._reading = wanted
+        if wanted != self.reading:
+            self.reading = wanted
             self._watch()
 
     def later(self) -> None:
@@ -107,7 +107,7 @@ class Connection:
         """Return the data received: None if none is available or reading is paused, empty at the end."""
         data, self._glanced = self._glanced, None
         # Data that the peer sent before it went can still be read.
-        if data is None and (self._reading or self._gone):
+        if data is None and (self.reading or self._gone):
             try:
                 data = self._socket.recv(_CHUNK)
             except BlockingIOError:
@@ -116,16 +116,16 @@ class Connection:
                 data = self._failed_to_receive()
         return data
 
-    def glance(self) -> Events | None:
-        """Receive data for `receive` to return, and return its event; None if there is none."""
-        if self._glanced is None and self._reading and not self.closed:
+    def glance(self) -> bool | None:
+        """Receive data for `receive` to return, and return whether a turn is due; None without data."""
+        if self._glanced is None and self.reading and not self.closed:
             try:
                 self._glanced = self._socket.recv(_CHUNK)
             except BlockingIOError:
                 return None
             except OSError:
                 self._glanced = self._failed_to_receive()
-        return self._event
+        return not (self.closed or self._queued)
 
     def send(self, data: bytes | bytearray) -> None:
         """Send `data`, now or as soon as the other side reads; it must not be changed any more."""
@@ -217,7 +217,7 @@ class Connection:
                 self.unsent -= len(pieces.popleft())
             if self._finishing:
                 self._end_if_sent()
-        if not self._reading and self._socket.getsockopt(network.SOL_SOCKET, network.SO_ERROR):
+        if not self.reading and self._socket.getsockopt(network.SOL_SOCKET, network.SO_ERROR):
             self._gone = True
         self._watch()
 

@@ -14,7 +14,6 @@ import platform
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 
 from glue.client.answers import ServedPlayer
 from glue.client.experiment import connect_over
@@ -62,6 +61,7 @@ class InsideTransport:
         self._hub = hub
         self._wait = 1.0
         self._new = True
+        self._request: Message | None = None  # not handed over yet
         self._received: deque[Message] = deque()
         self._calls: deque[tuple[_InsidePlayer, Message]] = deque()
         joining = [_InsidePlayer(role, player, self._calls) for role, player in players.items()]
@@ -82,8 +82,14 @@ class InsideTransport:
         """Do nothing: the hub's loop polls."""
 
     def send_message(self, message: Message) -> bool:
-        """Hand the hub a message; return False if the hub is ending."""
+        """Hand the hub a message; return False if the hub is ending.
+
+        A verb is handed over at the next `receive_message`, which has to take the turns of the loop anyway.
+        """
         loop = self._hub.loop
+        if message[0] in CALLS:
+            self._request = message
+            return loop.stopping is None
 
         def send() -> bool:
             if loop.stopping is not None:
@@ -116,7 +122,11 @@ class InsideTransport:
         """Take turns, and carry out the players' calls, until a message is received or the time is over."""
         loop, received, calls = self._hub.loop, self._received, self._calls
         receive = self._hub.sessions.receive
-        until = clock.monotonic() + self._wait
+        now = clock.monotonic()
+        until = now + self._wait
+        request, self._request = self._request, None
+        if request is not None and loop.stopping is None:
+            receive(self, request, now)
         while not received and loop.stopping is None and (left := until - clock.monotonic()) > 0:
             if not calls:
                 loop.turn(left)
@@ -244,6 +254,5 @@ def host(
         )
     with Hub(HubConfig(bind=(bind,), pace=pace)) as hub:
         transport = InsideTransport(hub, players, session)
-        late = partial(hub.sessions.num_late, session)
-        with hub.in_background(), connect_over(transport, session, num_late=late) as experiment:
+        with hub.in_background(), connect_over(transport, session) as experiment:
             yield experiment

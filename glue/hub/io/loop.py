@@ -62,8 +62,8 @@ class Watched(Protocol):
 class Source(Watched, Protocol):
     """A connection whose answer can be expected."""
 
-    def glance(self) -> Events | None:
-        """Read data, and return its event; None if there is none."""
+    def glance(self) -> bool | None:
+        """Read data, and return whether it has to be handled, by `turn`; None if there is none yet."""
         ...
 
 
@@ -177,19 +177,21 @@ class Loop:
 
         The work is ready descriptors, what is due, one piece of the queue, and a tick.
         """
-        events = None
+        events: Events = []
+        found: bool | None = None
         expected = self._expected
         if expected is not None:
             self._expected = None
             self._spins += 1
             if not self._several:
                 if not self._spins % _DIRECT:
-                    events = self._poller.poll(0) or None
-                if events is None:
-                    events = self._spin.until_found(expected.glance)
+                    events = self._poller.poll(0)
+                found = None if events else self._spin.until_found(expected.glance)
             self._several = False
         now = clock.monotonic()
-        if events is None:
+        if found and expected is not None:
+            expected.turn(now)
+        elif not events:
             wait = min(seconds, self._tick_at - now)
             if self._queue:
                 wait = min(wait, -self._saved / _SHARE)

@@ -31,7 +31,7 @@ from glue.errors import (
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation
 from glue.wire.messages import ErrorCode, Kind, Message, Role
-from tests.glue.client.dialogue import Dialogue, Script, experiment, greet, serve
+from tests.glue.client.dialogue import HEARTBEAT, Dialogue, Script, experiment, greet, serve
 from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent
 
 SHOWN = Observation(ints=[3]).body
@@ -110,6 +110,16 @@ def test_a_hub_that_has_answered_may_be_away_for_longer_than_the_time_allowed() 
         yield Kind.HEARTBEAT
 
     greet(hub, {"default": ScriptedAgent()}, wait=30.0)
+
+
+def test_a_client_that_hears_a_heartbeat_of_the_hub_sends_none_of_its_own() -> None:
+    def hub(hub: Dialogue) -> Script:
+        for second in range(1, 6):
+            hub.say_later(second * HEARTBEAT, Message(Kind.HEARTBEAT, "", 0))
+        yield Kind.HEARTBEAT
+        assert hub.now == 7 * HEARTBEAT
+
+    serve(hub, ScriptedAgent())
 
 
 @pytest.mark.parametrize(
