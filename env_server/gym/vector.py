@@ -95,6 +95,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             num_levels=num_levels,
             start_level=start_level,
         )
+        self._games.copies = copy
         self.single_observation_space: Space[Any] = observation_space(observation)
         self.observation_space: Space[Any] = batch_space(self.single_observation_space, num_envs)
         self.metadata = {**type(self).metadata, "autoreset_mode": mode}
@@ -180,10 +181,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         return self._games
 
     def _observations(self) -> Any:
-        cells, reals = self._games.cells, self._games.reals
-        if self.copy:
-            cells, reals = cells.copy(), reals.copy()
-        return unpack(self._view, cells, reals)
+        return unpack(self._view, *self._games.shown())
 
     def _mask(self, options: dict[str, Any] | None) -> npt.NDArray[np.bool_]:
         mask = (options or {}).get("reset_mask")
@@ -225,9 +223,9 @@ def _columns(infos: npt.NDArray[np.int64], which: npt.NDArray[np.bool_] | None =
         which: the mask, shape (N,), of the games whose infos count; None for all.
     """
     numbers = infos.T.copy()
-    masks = np.ones(numbers.shape, np.bool_)
+    masks = np.empty(numbers.shape, np.bool_)
+    masks[:] = True if which is None else which
     if which is not None:
-        masks[:] = which
         numbers *= which
     columns = [*numbers[:_FLAGS].astype(np.bool_), *numbers[_FLAGS:]]
     return dict(zip(_KEYS, [*columns, *masks], strict=True))

@@ -30,7 +30,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
         "experiment_runner/store/*",
         "glue/client/season.py",
     ],
-    "numba": ["glue/compiled/jit.py", "glue/compiled/threads.py"],
+    "numba": ["glue/compiled/jit.py", "glue/compiled/memory.py", "glue/compiled/threads.py"],
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],
     "click": ["*/cli/*", "glue/plugins/naming.py"],

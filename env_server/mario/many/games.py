@@ -14,12 +14,13 @@ import numpy.typing as npt
 from env_server.mario.game import ordinary_reward, terminal_reward
 from env_server.mario.level_sets import TYPES, LevelSet, level_seed, splitmix
 from env_server.mario.many.views import View, write_view
-from env_server.mario.observation import BODY_SIZE, encode
+from env_server.mario.observation import BODY_SIZE, COLUMNS_SHOWN, encode
 from env_server.mario.parameters import Parameters
 from env_server.mario.sim.state import LEVEL, WORLD, LevelMap, Levels, World, Worlds
 from env_server.mario.sim.step import act, begin
 from glue.closing import Closing
 from glue.compiled.jit import announce_compilation, entry, jit
+from glue.compiled.memory import copy_bytes, prefetch, uncounted
 from glue.compiled.records import Array, Flag, Int, Real, Word, layout
 from glue.compiled.threads import Gate, Threads, begin_turn, claim, end_turn, nothing
 from glue.errors import SimulatorError
@@ -70,11 +71,15 @@ class Setup:
     difficulties: Int
     level_type: Int  # -1: that of the level's number
     level_difficulty: Int
+    copies: Annotated[npt.NDArray[np.int64], np.int64, 2]  # addresses of copies of the views, or 0
 
 
 # Records whose fields are attributes in uncompiled code, too.
 _LANE: Final = np.dtype((np.record, layout(Lane)))
 _SETUP: Final = np.dtype((np.record, layout(Setup)))
+
+_FAR: Final = 2**18
+"""Bytes of views beyond which threads copy their own: one thread would fetch them from the other's cache."""
 
 
 class Games(Closing):
@@ -91,6 +96,7 @@ class Games(Closing):
         finals: whether to keep the last views of episodes that ended in the same step.
 
     Attributes:
+        copies: whether `shown` returns copies; False at first.
         cells, reals: the current views, shapes (N, bytes) and (N, reals) of the view.
         final_cells, final_reals: the last views of episodes that are over.
         lanes: shape (N,); see `Lane`.
@@ -132,6 +138,8 @@ class Games(Closing):
         kept = count if finals else 0
         self.final_cells: Bytes = np.zeros((kept, view.bytes), np.uint8)
         self.final_reals: Reals = np.zeros((kept, view.reals), np.float32)
+        self.copies = False
+        self._far = threads > 1 and self.cells.nbytes + self.reals.nbytes > _FAR
         self.lanes["place"] = np.arange(count) % len(self.levels)
         self._orders = np.full(count, _LEAVE, np.int8)
         self._threads = Threads(1, count)
@@ -195,6 +203,12 @@ class Games(Closing):
             self._run(then)
         return refused
 
+    def shown(self) -> tuple[Bytes, Reals]:
+        """Return the current views: `cells` and `reals`, or copies of them."""
+        if not self.copies:
+            return self.cells, self.reals
+        return self._copied if self._far else (self.cells.copy(), self.reals.copy())
+
     def observation(self, i: int) -> Observation:
         """Return game `i` as an RL-Glue agent would see it now."""
         body = np.zeros(BODY_SIZE, np.uint8)
@@ -205,6 +219,9 @@ class Games(Closing):
     def _run(self, then: Callable[[], None] = nothing, levels: Levels | None = None) -> None:
         shown = (self.cells, self.reals, self.final_cells, self.final_reals)
         levels = self.levels if levels is None else levels
+        if self.copies and self._far:
+            self._copied = np.empty_like(self.cells), np.empty_like(self.reals)
+            self._setup["copies"] = [one.ctypes.data for one in self._copied]
         games = (self.worlds, levels, self.lanes, self._setup, self._orders)
         self._threads.run(_advance, *games, *shown, then=then)
 
@@ -297,10 +314,14 @@ def _advance(
     One function does everything, because the rules are compiled into every function that calls them.
     """
     setup: Setup = setups[0]
+    worlds, levels, lanes = uncounted(worlds), uncounted(levels), uncounted(lanes)
+    cells, reals = uncounted(cells), uncounted(reals)
+    final_cells, final_reals = uncounted(final_cells), uncounted(final_reals)
     while begin_turn(gate, worker):
         first, last = claim(gate, worker)
         while first < last:
             for i in range(first, last):
+                _look_ahead(worlds, levels, lanes, i)
                 if orders[i] == _LEAVE:
                     continue
                 world: World = worlds[i]
@@ -327,9 +348,36 @@ def _advance(
                 # The observation of a terminal step is the previous one, as in the original.
                 if begins or not lane.terminated:
                     lane.size = write_view(world, level, setup.view_number, cells[i], reals[i])
+            if setup.copies[0] != 0:
+                _copy_rows(setup.copies[0], cells.ctypes.data, first, last, cells.shape[1])
+                _copy_rows(setup.copies[1], reals.ctypes.data, first, last, 4 * reals.shape[1])
             first, last = claim(gate, worker)
         if end_turn(gate, worker):
             return
+
+
+@jit
+def _copy_rows(target: int, source: int, first: int, last: int, size: int) -> None:
+    copy_bytes(target + first * size, source + first * size, (last - first) * size)
+
+
+@jit
+def _look_ahead(worlds: Worlds, levels: Levels, lanes: Array, i: int) -> None:
+    """Ask for the memory that the two games after game `i` need: of many games, it is in no near cache."""
+    if i + 2 < len(worlds):
+        world: World = worlds[i + 2]
+        prefetch(world.actors, 0, 3)
+        prefetch(world.changed, -256, 5)  # the numbers before it
+        prefetch(lanes[i + 2].info, -64, 3)
+    if i + 1 < len(worlds) and lanes[i + 1].place < len(levels):
+        world = worlds[i + 1]
+        level: LevelMap = levels[lanes[i + 1].place]
+        column = world.drawn_camera // 16
+        prefetch(level.cells, -32, 1)  # the numbers before it
+        prefetch(level.cells, 8 * column, 4)
+        prefetch(world.changed, 2 * column, 2)
+        prefetch(world.dead, 2 * (column + COLUMNS_SHOWN), 1)
+        prefetch(level.spawning, 2 * (column + COLUMNS_SHOWN), 1)
 
 
 @jit

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from env_server.mario.observation import COLUMNS_SHOWN, ROWS_SHOWN, Motion, kind_of_mario, place_of
 from env_server.mario.sim.state import PLANT, World
+from env_server.mario.sim.tiles import SHOWN_MARIO
 from env_server.render.artwork import PALETTE, SPRITES, TILES
 from glue.compiled.jit import jit
 
@@ -35,6 +36,10 @@ _NAMES: Final = {
     9: "pole",
 }
 """The picture of each tile of a view; Mario is drawn as a sprite."""
+_EARTH: Final = 4
+_GRASSY: Final = SHOWN_MARIO + 1
+_WORDS: Final = _TILE * 3 // 4  # four bytes each, of a line of a tile
+_LINE: Final = _WORDS * (SIZE // _TILE + 1)  # words of a line of all tiles that a picture may show in part
 
 
 def _shrunk(lines: tuple[str, ...]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
@@ -51,12 +56,22 @@ def _shrunk(lines: tuple[str, ...]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[
     return mean.round().astype(np.uint8), count > _TILE * _TILE // 3
 
 
-def _tile_pictures() -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
-    colors = np.zeros((11, _TILE, _TILE, 3), np.uint8)
-    opaque = np.zeros((11, _TILE, _TILE), np.bool_)
+def _scenery() -> npt.NDArray[np.uint32]:
+    """Return each tile before the sky of each row of tiles, (tile, row, line * word): 3 words for 4 pixels.
+
+    The last tile is earth below the open sky, with grass on it.
+    """
+    sky = np.array(
+        [PALETTE[_SKY[min(line * len(_SKY) // SIZE, len(_SKY) - 1)]] for line in range(SIZE)], np.uint8
+    )
+    shown = np.tile(sky.reshape(-1, _TILE, 1, 3), (_GRASSY + 1, 1, 1, _TILE, 1))
     for number, name in _NAMES.items():
-        colors[number], opaque[number] = _shrunk(TILES[name])
-    return colors, opaque
+        color, opaque = _shrunk(TILES[name])
+        shown[number, :, opaque] = color[opaque][:, None]
+        if number == _EARTH:
+            shown[_GRASSY] = shown[_EARTH]
+            shown[_GRASSY, :, 0, opaque[0]] = PALETTE["g"]
+    return shown.reshape(*shown.shape[:2], -1).view(np.uint32)
 
 
 def _sprite_pictures() -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
@@ -71,12 +86,10 @@ def _sprite_pictures() -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
     return colors, opaque
 
 
-_TILE_COLORS, _TILE_OPAQUE = _tile_pictures()
 _SPRITE_COLORS, _SPRITE_OPAQUE = _sprite_pictures()
-_SKY_COLORS: Final = np.array(
-    [PALETTE[_SKY[min(row * len(_SKY) // SIZE, len(_SKY) - 1)]] for row in range(SIZE)], np.uint8
-)
-_GRASS: Final = np.array(PALETTE["g"], np.uint8)
+_SCENERY = _scenery()
+_OPEN: Final = _SCENERY[0].reshape(SIZE, 1, _WORDS).repeat(SIZE // _TILE, 1).view(np.uint8).ravel()
+"""A picture of nothing but the sky."""
 
 
 @jit
@@ -106,23 +119,26 @@ def draw_pixels(world: World, tiles: npt.NDArray[np.uint8], pixels: npt.NDArray[
 
 @jit
 def _draw_tiles(tiles: npt.NDArray[np.uint8], left: int, pixels: npt.NDArray[np.uint8]) -> None:
+    """Draw whole tiles, word by word, and copy the lines from the picture's border on."""
+    words = np.empty(_TILE * _LINE, np.uint32)
+    drawn = words.view(np.uint8)
+    hidden = left % _TILE  # pixels of the first column
     for row in range(ROWS_SHOWN):
+        shown = 0
+        for column in range(COLUMNS_SHOWN):
+            shown |= tiles[row * COLUMNS_SHOWN + column]
+        for column in range(SIZE // _TILE + 1 if shown else 0):
+            cell = row * COLUMNS_SHOWN + min(left // _TILE + column, COLUMNS_SHOWN - 1)
+            tile = tiles[cell]
+            if tile == _EARTH and row > 0 and tiles[cell - COLUMNS_SHOWN] == 0:
+                tile = _GRASSY
+            for y in range(_TILE):
+                for word in range(_WORDS):
+                    words[y * _LINE + column * _WORDS + word] = _SCENERY[tile, row, y * _WORDS + word]
         for y in range(_TILE):
             at = (row * _TILE + y) * SIZE * 3
-            sky = _SKY_COLORS[row * _TILE + y]
-            for x in range(SIZE):
-                column, inside = divmod(left + x, _TILE)
-                tile = tiles[row * COLUMNS_SHOWN + column]
-                if _TILE_OPAQUE[tile, y, inside]:
-                    color = _TILE_COLORS[tile, y, inside]
-                    if y == 0 and tile == 4 and row > 0 and tiles[(row - 1) * COLUMNS_SHOWN + column] == 0:
-                        color = _GRASS
-                else:
-                    color = sky
-                pixels[at] = color[0]
-                pixels[at + 1] = color[1]
-                pixels[at + 2] = color[2]
-                at += 3
+            for x in range(SIZE * 3):
+                pixels[at + x] = drawn[y * _LINE * 4 + hidden * 3 + x] if shown else _OPEN[at + x]
 
 
 @jit

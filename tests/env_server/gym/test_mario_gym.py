@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
 from collections.abc import Callable
@@ -213,6 +214,22 @@ def test_pixels_show_mario_where_he_is() -> None:
     reds = [((shown[..., 0] > 170) & (shown[..., 1] < 110)).nonzero()[1].mean() for shown in (first, last)]
     assert 6 <= reds[0] < reds[1] - 2 <= 28  # he starts in tile 2 of the picture, and walks up to tile 7
     assert len(np.unique(last.reshape(-1, 3), axis=0)) > 10
+
+
+def test_pictures_are_the_same_to_the_byte_in_two_threads_and_stay_as_they_were() -> None:
+    """Threads copy pictures themselves if there are many: 24 of them are enough."""
+    generator = np.random.default_rng(0)
+    one, two = (
+        make_vec(24, observation="pixels", num_levels=9, autoreset_mode="SameStep", num_threads=threads)
+        for threads in (1, 2)
+    )
+    shown = [(one.reset(seed=0)[0], two.reset(seed=0)[0])]
+    for _ in range(80):
+        action = generator.integers([1, 0, 0], [3, 2, 2], (24, 3))
+        shown.append((one.step(action)[0], two.step(action)[0]))
+    assert all((ours == theirs).all() for ours, theirs in shown)
+    pictures = np.stack([ours for ours, _ in shown])
+    assert hashlib.sha256(pictures.tobytes()).hexdigest()[:16] == "bcbfd55e0daeddf9"
 
 
 def test_seeded_reset_forgets_and_an_unseeded_one_keeps_the_buttons() -> None:
