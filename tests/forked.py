@@ -134,7 +134,7 @@ def start(*command: str, cwd: Path, env: Mapping[str, str] | None = None, printe
 
 
 class _Child(subprocess.Popen[bytes]):
-    """A module in a process forked from this one, in place of `experiment_runner.processes.watchdog.spawn`.
+    """A module in a process forked from this one, in place of `experiment_runner.processes.children.spawn`.
 
     It keeps no descriptor of this process but the standard ones and `pass_fds`, and has signals as a new one.
     """

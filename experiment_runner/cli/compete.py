@@ -11,10 +11,11 @@ import click
 
 from experiment_runner.cli.compete_entrants import COMMANDS
 from experiment_runner.cli.compete_serve import ACTS, KEPT, serve
-from experiment_runner.cli.options import DIRECTORY, FILE, naming_out
+from experiment_runner.cli.options import naming_out
 from experiment_runner.cli.season_page import page
 from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
+from glue.cli.shared import DIRECTORY, FILE
 from glue.console import say
 from glue.errors import ConfigError
 from glue.files import read_text

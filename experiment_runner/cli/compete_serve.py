@@ -11,9 +11,10 @@ from typing import Any, Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY, FILE, check_address, naming_out
+from experiment_runner.cli.options import check_address, naming_out
 from experiment_runner.cli.season_options import page_options
 from experiment_runner.plan.limits import Backend
+from glue.cli.shared import DIRECTORY, FILE
 from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError, GlueError
 from glue.files import read_text

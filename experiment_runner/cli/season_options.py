@@ -11,7 +11,7 @@ from typing import Any, Final, TextIO, TypeVar
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY
+from glue.cli.shared import DIRECTORY
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 

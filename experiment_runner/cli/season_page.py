@@ -10,9 +10,10 @@ from typing import Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY, place_of
+from experiment_runner.cli.options import place_of
 from experiment_runner.cli.season_options import page_options
 from experiment_runner.view.launch import check_view
+from glue.cli.shared import DIRECTORY
 from glue.console import say
 from glue.errors import ConfigError
 

@@ -30,7 +30,7 @@ from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starters import SOCKET, Launch, Running, Starter
 from experiment_runner.competition.usage import ControlGroup
-from experiment_runner.processes.watchdog import spawn
+from experiment_runner.processes.children import spawn
 from experiment_runner.store.layout import write_flushed
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError

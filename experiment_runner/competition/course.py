@@ -20,7 +20,7 @@ from experiment_runner.competition.settings import (
     load_competition,
 )
 from experiment_runner.competition.trials import attempt_trials, levels, trials
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.results import Results

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
-from experiment_runner.executors.recording import run_of
+from experiment_runner.competition.records.replay import recorded_run
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import EpisodeResult
 from glue.engine.calls import role_calls
@@ -82,7 +82,7 @@ class RecordedEnvironment(Environment):
         """Initialise the environment, and begin the record."""
         with self._blaming():
             _, task_spec = self._calls[Kind.ENV_INIT]((), None)
-            self._record.run(run_of(self._spec, task_spec))
+            self._record.run(recorded_run(self._spec, task_spec))
             with suppress(TaskSpecError):
                 self._actions = parse_task_spec(task_spec).actions
         return str(task_spec)

@@ -95,7 +95,7 @@ class Piece(NamedTuple):
 
 
 class Used(NamedTuple):
-    """What the entrant has used; None for what is unknown, as for a program on another machine.
+    """The resource usage of an entrant; None where it is unknown, as for a program on another machine.
 
     `processor` is in seconds, `peak` in bytes of memory; `bank` has the seconds left, which never grow.
     """

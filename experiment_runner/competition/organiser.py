@@ -41,7 +41,7 @@ from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Recorded
 from experiment_runner.executors.workers import LocalExecutor
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.plan.provenance import about, program
 from experiment_runner.store.database import holds_run, reported

@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Final
 
 from experiment_runner.executors import player_command
-from experiment_runner.executors.job import AtHub, Joined, Line, Report
+from experiment_runner.executors.job import AtHub, HubOptions, Joined, Line, Placement, Report
 from experiment_runner.executors.players import players_inside
-from experiment_runner.executors.settings import HubOptions, Placement
 from experiment_runner.plan.plan import Plan, TrialSpec
 from experiment_runner.processes.children import KeptAlive, Say
 from experiment_runner.processes.scratch import SOCKET, scratch_folder
@@ -114,12 +113,7 @@ def over_hub(
             url = options.hub
             show_missing = hints(say, url, session, named.keys())
             glue = connect(
-                url,
-                session,
-                key=options.key,
-                hub_key=options.hub_key,
-                wait=options.wait,
-                on_notice=notice,
+                url, session, key=options.key, hub_key=options.hub_key, wait=options.wait, on_notice=notice
             )
         else:
             hub, url, show_missing = _start_hub(stack, placement, expected, named.keys(), spec.pace, say)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
 from experiment_runner.report.tables import format_table
-from experiment_runner.store.output import csv_row, finite
+from experiment_runner.store.run_data import csv_row, finite
 from glue.console import one_line
 
 if TYPE_CHECKING:

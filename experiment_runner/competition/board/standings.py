@@ -23,7 +23,7 @@ from experiment_runner.competition.course import Course
 from experiment_runner.competition.records.journal import ADD, ANNOUNCE, EXCLUDE, READMIT, RERUN, Act
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.seal import check_seal
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.layout import ABOUT_FILE
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiment_runner.competition.records.record import digest, record_path
-from experiment_runner.competition.records.replay import Replay, passive_score, replay_of
+from experiment_runner.competition.records.replay import Replay, passive_score, recorded_run, replay_of
 from experiment_runner.competition.records.seal import record_verdict, reseal_verdicts, seal
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
@@ -136,12 +136,12 @@ def replay_trial(spec: TrialSpec, path: Path) -> tuple[list[Replayed], float]:
         TrajectoryError: the record is damaged.
     """
     replay, task_spec = replay_of(spec)
-    run = run_of(spec, task_spec)
+    runs = (recorded_run(spec, task_spec), run_of(spec, task_spec))  # the second as of version 0.3.0
     episodes: list[Replayed] = []
     score = 0.0
     reader = TrajectoryReader(path)
     for number, episode in enumerate(reader, 1):
-        if episode.run != run or not isinstance(episode.steps, ActionSteps):
+        if episode.run not in runs or not isinstance(episode.steps, ActionSteps):
             raise Mismatch(f"{path} is not a record of {spec.id}: it is of {_shown(episode.run)}")
         replay.start()
         count, total = 0, 0.0

@@ -29,7 +29,7 @@ from experiment_runner.competition.records.journal import EVERYBODY, Act, time_t
 from experiment_runner.competition.season.schedule import queue
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.settings import Competition
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 
@@ -52,7 +52,7 @@ _DID: Final = re.compile(
     r"ran out of time|used more than [\d.e+]+ s in all|took more than [\d.e+]+ s to initialise|"
     r"sent a malformed message"
 )
-"""What a hub says of an agent that has failed, after its name and before its own words."""
+"""The words of a hub between the name of an agent that has failed and the agent's own."""
 
 _TIMES: Final = 200
 _FLIPS: Final = 999
@@ -252,8 +252,10 @@ class _Played:
 
 
 class _Facts(NamedTuple):
-    """What the boards for all viewers are made of; `played` has each attempt's entrant and number, `late` the
-    late and all actions of each trial with a rate."""
+    """The data of the boards for all viewers.
+
+    `played` has each attempt's entrant and number, `late` the late and all actions of each trial with a rate.
+    """
 
     course: Course
     state: SeasonState
@@ -264,7 +266,7 @@ class _Facts(NamedTuple):
 
 @dataclass(slots=True)
 class _Placed:
-    """What places an entrant: the attempts that stand, by the time from which each does, with their scores.
+    """The standing attempts that place an entrant, by the time from which each does, with their scores.
 
     Args:
         name: of the entrant.

@@ -145,7 +145,7 @@ class Submit(_Request):
 
 
 class Status(_Request):
-    """What plays, and what waits."""
+    """The attempts that play, and those that wait."""
 
 
 Request = Organise | Enrol | Attempt | Key | Withdraw | Submit | Status
@@ -168,7 +168,7 @@ class Door(Closing):
         self._clock = clock
         self._path = directory / CONTROL
         self._clients: dict[socket.socket, tuple[bytearray, float]] = {}
-        """What each has sent, and the time by which it has to be complete."""
+        """The bytes that each has sent, and the time by which its request has to be complete."""
         self._ready = selectors.DefaultSelector()
         self._listener = socket.socket(socket.AF_UNIX)
         with reported(f"cannot make {self._path}"), _short(directory) as short:

@@ -1,4 +1,4 @@
-"""What entrants' programs ask a season for, over HTTP: routes of the page's server, below `/season/api/`.
+"""Requests of entrants' programs to a season, over HTTP: routes of the page's server, below `/season/api/`.
 
     POST join       name, key, code, team: enrol; answers with hub_key, token and alias
     POST attempt    attempt: how it goes, or a new one
@@ -185,7 +185,7 @@ class _Entrance:
         return await self._ask({**body, "do": "enrol"})
 
     def passing(self, do: str) -> _Endpoint:
-        """Return what passes a signed request on, as that of its entrant."""
+        """Return the endpoint that passes a signed request on as that of its entrant."""
 
         async def pass_on(request: Request) -> _Answer:
             entrant = await self._sender(request)

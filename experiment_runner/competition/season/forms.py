@@ -16,8 +16,8 @@ from experiment_runner.competition.records.journal import utc_now
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
 from experiment_runner.report.tables import format_table
-from experiment_runner.store.output import csv_row, finite
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import csv_row, finite
 from glue.console import one_line
 
 _LEGEND: Final = (

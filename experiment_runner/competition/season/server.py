@@ -48,7 +48,7 @@ from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.trials import attempt_trials, levels
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.store import Store
 from glue.console import one_line

@@ -10,8 +10,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from agents.network.agent import NetworkAgent, load, preferences, save
-from agents.network.features import FEATURES, RECENT, features, tiles_and_sprites
+from agents.network.agent import (
+    FEATURES,
+    RECENT,
+    NetworkAgent,
+    features,
+    load,
+    preferences,
+    save,
+    tiles_and_sprites,
+)
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LEVEL_SETS
 from env_server.mario.many.games import SAME_STEP, Games

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from env_server.mario.environment import InfiniteMario
-from env_server.mario.saving import State, pack_state
+from env_server.mario.environment import InfiniteMario, State, pack_state
 from glue.errors import SaveError, SimulatorError
 from glue.options import build
 from glue.roles import capabilities

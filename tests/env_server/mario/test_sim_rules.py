@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from env_server.mario.game import Game
+from env_server.mario.game import Game, terminal_reward
 from env_server.mario.parameters import resolve
-from env_server.mario.reward import terminal_reward
 from env_server.mario.sim.blocks import hit_block
 from env_server.mario.sim.state import (
     ACTORS,

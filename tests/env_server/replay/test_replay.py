@@ -19,15 +19,18 @@ from PIL import Image
 from env_server.mario.environment import InfiniteMario
 from env_server.replay.episodes import (
     Difference,
+    Digest,
+    GoldenEpisode,
+    GoldenReader,
     Moment,
     NotInstalled,
     RecordedRun,
     build_environment,
+    digest,
     open_recording,
     recorded_moments,
     replayed_moments,
 )
-from env_server.replay.golden import Digest, GoldenEpisode, GoldenReader, digest
 from env_server.toys import MinesEnvironment
 from glue.errors import ConfigError
 from glue.extras import Extra

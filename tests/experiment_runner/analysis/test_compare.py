@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy  # type: ignore[import-untyped]  # it has no types
 
-from experiment_runner.analysis.compare import (
+from experiment_runner.analysis.stats import (
     compare,
     profile,
     sensitivity,

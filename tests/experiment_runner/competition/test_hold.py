@@ -25,7 +25,7 @@ from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.seal import check_signature, sign
 from experiment_runner.competition.records.verify import verify
-from experiment_runner.store.lock import LOCK_FILE, RunLock
+from experiment_runner.store.layout import LOCK_FILE, RunLock
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from experiment_runner.view.export import as_page

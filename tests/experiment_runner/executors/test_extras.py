@@ -13,18 +13,15 @@ from click.testing import CliRunner
 
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.cli.plot import plot
-from experiment_runner.executors.extras import Extras
-from experiment_runner.executors.recording import Meter
-from experiment_runner.plan.extras import SUMMARIES, Summary
+from experiment_runner.executors.recording import Extras, Meter
 from experiment_runner.plan.file import dump_plan, parse_plan
-from experiment_runner.plan.ids import REMOTE, TrialId
-from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.limits import REMOTE, TrialId
+from experiment_runner.plan.metrics import SUMMARIES, MetricsPlan, Summary
 from experiment_runner.plan.plan import RoleSpec, TrialSpec, differences
 from experiment_runner.plan.toml import SettingError
-from experiment_runner.store.export import episode_table
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult
 from experiment_runner.store.results import Results
-from experiment_runner.store.run_data import load_run
+from experiment_runner.store.run_data import episode_table, load_run
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, ExperimentError

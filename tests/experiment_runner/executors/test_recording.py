@@ -21,11 +21,10 @@ from env_server.replay.episodes import (
 )
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.cli.experiment import experiment
-from experiment_runner.executors.job import BEGINNING, Ended, Job, Report, Start
+from experiment_runner.executors.job import BEGINNING, BOTH, Ended, Job, Placement, Report, RunConfig, Start
 from experiment_runner.executors.recording import Recorder, recorded
-from experiment_runner.executors.settings import BOTH, Placement, RunConfig
 from experiment_runner.executors.trial import run_job
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
 from glue.client.players import serve_environment

@@ -15,10 +15,20 @@ from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.job import BEGINNING, Happened, Job, Line, Recorded, Report, Start, Voided
-from experiment_runner.executors.settings import Placement, RunConfig
+from experiment_runner.executors.job import (
+    BEGINNING,
+    Happened,
+    Job,
+    Line,
+    Placement,
+    Recorded,
+    Report,
+    RunConfig,
+    Start,
+    Voided,
+)
 from experiment_runner.executors.trial import run_trial
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Reading

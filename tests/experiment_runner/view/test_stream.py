@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store

@@ -188,7 +188,9 @@ def main():
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.stage("proof"))]
+)
 def test_a_signal_ends_a_command_that_compiles_without_returning_to_python(
     number: signal.Signals, tmp_path: Path
 ) -> None:

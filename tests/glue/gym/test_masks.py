@@ -20,7 +20,7 @@ from gymnasium import spaces  # noqa: E402
 
 import glue.gym  # noqa: E402
 import tests.glue.gym.environments  # noqa: E402, F401
-from glue.gym.masks import MaskCodec  # noqa: E402
+from glue.gym.spaces import MaskCodec  # noqa: E402
 
 ONES = np.ones(2, np.int8)
 

@@ -14,7 +14,7 @@ from experiment_runner.competition.records.journal import EVERYBODY, Act, act
 from experiment_runner.competition.season.board import PUBLIC, Boards, EntrantRow, SeasonBoard
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import parse_competition
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.store import Store
 

@@ -24,7 +24,7 @@ from experiment_runner.competition.season.control import (
 )
 from experiment_runner.competition.season.server import gate_of
 from experiment_runner.competition.settings import Gate
-from experiment_runner.store.lock import DirectoryTaken
+from experiment_runner.store.layout import DirectoryTaken
 from glue.client.libzmq import new_pair
 from glue.errors import ConfigError, ExperimentError
 from glue.keys.certificates import encode
