@@ -121,16 +121,21 @@ def values(value: Value) -> list[bytes]:
     return [struct.pack(">Bd", 0xCB, value), *exact]
 
 
-def oddly(random: Random, message: Message) -> bytes:
-    """Return a header of which one part, or every one, is encoded in any way that the protocol allows."""
+def encodings(message: Message) -> list[list[bytes]]:
+    """Return the parts of a header, each in every form that the protocol allows, the usual one first."""
     count = 3 + len(message.scalars)
-    parts = [
+    return [
         [bytes((0x90 | count,)), struct.pack(">BH", 0xDC, count)],
         wholes(message.kind),
         texts(message.session.encode()),
         wholes(message.seq),
         *map(values, message.scalars),
     ]
+
+
+def oddly(random: Random, message: Message) -> bytes:
+    """Return a header of which one part, or every one, is encoded in any way that the protocol allows."""
+    parts = encodings(message)
     odd = random.choice([*range(len(parts)), None])
     return b"".join(
         random.choice(forms) if odd is None or odd == at else forms[0] for at, forms in enumerate(parts)
@@ -272,16 +277,21 @@ def events(stream: Stream, data: bytes) -> list[str]:
                 found.append(repr(event) if isinstance(event, Message) else f"{len(event)} bytes to be sent")
 
 
+def pair(seed: int, from_hub: bool, keyed: bool) -> list[Line]:
+    """Return two connections with the same keys."""
+    lines = []
+    for _ in range(2):
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(chance, "random_bytes", Random(seed).randbytes)
+            lines.append(Line(from_hub, keyed))
+    return lines
+
+
 def converse(seed: int) -> None:
     """Compare two receivers of one conversation, of which one has learned the steps of most sessions."""
     random = Random(seed)
     from_hub, keyed = random.random() < 0.5, random.random() < 0.5
-    lines = []
-    for _ in range(2):
-        with pytest.MonkeyPatch.context() as patched:
-            patched.setattr(chance, "random_bytes", Random(seed).randbytes)  # the same keys for both
-            lines.append(Line(from_hub, keyed))
-    plain, learned = lines
+    plain, learned = pair(seed, from_hub, keyed)
     kind = random.choice([Kind.ENV_STEP, Kind.AGENT_STEP])
     for session in SESSIONS[: random.randrange(1, len(SESSIONS))]:
         learned.learn(kind, session)
@@ -299,6 +309,46 @@ def converse(seed: int) -> None:
         if len(piece) > 20 and random.random() < 0.3:
             answer = step(random, kind, not from_hub, random.choice(SESSIONS), 300, random.choice(SHAPES[:9]))
             assert events(learned.sender, b"".join(learned.receiver.encode(answer))) == [repr(answer)]
+
+
+@pytest.mark.parametrize("keyed", [False, True], ids=["plain", "keyed"])
+@pytest.mark.parametrize("kind", [Kind.ENV_STEP, Kind.AGENT_STEP], ids=str)
+@pytest.mark.parametrize("from_hub", [False, True], ids=["to a hub", "from a hub"])
+def test_what_differs_in_one_place_from_a_learned_step_is_read_alike(
+    from_hub: bool, kind: Kind, keyed: bool
+) -> None:
+    random = Random(0)
+    plain, learned = pair(0, from_hub, keyed)
+    learned.learn(kind, "s")
+    body = body_of(random, (2, 1, 3, 0, 0))
+    message = Message(kind, "s", 300, scalars_of(kind, from_hub), body)
+    usual = [forms[0] for forms in encodings(message)]
+    headers = [
+        [*usual[:at], form, *usual[at + 1 :]] for at, forms in enumerate(encodings(message)) for form in forms
+    ]
+    headers += [[*usual[:2], b"\xa1t", *usual[3:]]]  # another session
+    bodies = [body[:at] + bytes([body[at] ^ 1]) + body[at + 1 :] for at in range(16)]
+    bodies += [
+        body[:-1],
+        body + b"x",
+        body[:15],
+        b"",
+        body_of(random, (2, 1, 3, 2, 0)),
+        body_of(random, (0, 0, 0, 0, 0)),
+    ]
+    different = [(b"".join(header), body) for header in headers] + [
+        (b"".join(usual), body) for body in bodies
+    ]
+    if from_hub:
+        observed = Message(Kind.OBSERVED_STEP, "s", 300, (1, 2, 0.5, 0.5, False), 2 * body)
+        header, two_bodies = encode(observed, FROM_HUB)
+        different.append((header, two_bodies))
+    for another in different:
+        for frames in ((b"".join(usual), body), another):
+            data = plain.encoded(random, frames)
+            expected = events(plain.receiver, data)
+            assert events(learned.receiver, data) == expected
+            assert expected
 
 
 @pytest.mark.proof
