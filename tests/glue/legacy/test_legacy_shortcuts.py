@@ -63,12 +63,13 @@ def reading(
 ) -> list[str]:
     """Return the events of a decoder, up to the first error, and the number of bytes left in it."""
     decoder = Decoder(vocabulary, max_body)
+    answers = shortcut and vocabulary in (FROM_AGENT, FROM_ENVIRONMENT)
+    kinds = [layout.kind for layout in vocabulary.values()] if answers else []
     found: list[str] = []
     for piece in pieces:
         remember(known())
-        for layout in (*FROM_AGENT.values(), *FROM_ENVIRONMENT.values()) if shortcut else ():
-            kind = layout.kind
-            if kind in vocabulary and vocabulary[kind] is layout and (answer := decoder.answer(piece, kind)):
+        for kind in kinds:
+            if (answer := decoder.answer(piece, kind)) is not None:
                 found.append(repr(Frame(kind, *answer)))
                 break
         else:
