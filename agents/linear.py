@@ -13,7 +13,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from agents.choosing import epsilon_greedy
+from agents.tabular import epsilon_greedy
 from glue.errors import LocalProtocolError, SaveError
 from glue.options import Option
 from glue.roles import Agent

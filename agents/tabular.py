@@ -8,18 +8,45 @@ from __future__ import annotations
 
 import struct
 from array import array
+from collections.abc import Sequence
 from typing import Annotated, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from agents.choosing import epsilon_greedy
 from glue.errors import LocalProtocolError, SaveError
 from glue.options import Option
 from glue.roles import Agent
 from glue.saves import GENERATOR_SIZE, Arrays, Saved, generator_array, is_packed, load_generator, pack, unpack
-from glue.taskspec import TaskSpec, parse_task_spec
+from glue.taskspec import TaskSpec, legal_values, parse_task_spec
 from glue.types import PREFIX_SIZE, Action, Observation
+
+
+def epsilon_greedy(
+    generator: np.random.Generator, epsilon: float, values: Sequence[float], observation: Observation
+) -> int:
+    """Choose an action of one int: any legal one with the chance to explore, otherwise one of the best.
+
+    Args:
+        generator: draws whether to explore, then the action if more than one qualifies.
+        epsilon: the chance to explore.
+        values: of the actions, from 0 on.
+        observation: with the mask of the legal actions, if there is one.
+
+    Raises:
+        RemoteProtocolError: the mask does not fit the number of actions.
+    """
+    choices: Sequence[int] = range(len(values))
+    if observation.packed_mask:
+        (legal,) = legal_values(observation, (len(values),))
+        choices = np.flatnonzero(legal).tolist()
+        values = [values[choice] for choice in choices]
+    if generator.random() < epsilon:
+        return choices[int(generator.integers(len(choices)))]
+    highest = max(values)
+    best = [choice for choice, value in zip(choices, values, strict=True) if value == highest]
+    return best[generator.integers(len(best))] if len(best) > 1 else best[0]
+
 
 _MAX_VALUES: Final = 10_000_000
 _INT: Final = struct.Struct("<i")

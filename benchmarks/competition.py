@@ -13,7 +13,7 @@ from benchmarks.measure import Table, count, medians
 from experiment_runner.competition.records.replay import replay_of
 from experiment_runner.competition.records.verify import replay_trial
 from experiment_runner.executors.recording import run_of
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from glue.trajectory import ActionWriter, Ending
 from glue.types import Action

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.measure import Table, count, interleaved
+from experiment_runner.executors.job import BOTH, Placement, RunConfig
 from experiment_runner.executors.run import run_trials
-from experiment_runner.executors.settings import BOTH, Placement, RunConfig
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.progress import Progress

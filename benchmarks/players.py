@@ -20,6 +20,7 @@ SIZES = {
         ints=np.arange(23, dtype=np.int32), doubles=np.arange(44) / 44, chars=bytes(352)
     ),
 }
+MASKED = "one int, and a mask of 12 actions"
 _ACTION = Action(ints=(1,))
 
 
@@ -55,6 +56,34 @@ class Still(Agent):
         return message
 
 
+class Masked(Walk):
+    """Shows its observation with a mask of 12 actions if the last message said so, and else without."""
+
+    env_masks = True
+
+    def __init__(self) -> None:
+        self._with, self._without = (
+            Observation(ints=(1,), mask=mask) for mask in ([True] * 11 + [False], None)
+        )
+        super().__init__(self._without)
+
+    def env_init(self) -> str:
+        return (
+            "VERSION RL-Glue-3.0 PROBLEMTYPE continuing DISCOUNTFACTOR 1.0 OBSERVATIONS INTS (0 1) "
+            "ACTIONS INTS (0 11) REWARDS (0 1) EXTRA masks"
+        )
+
+    def env_message(self, message: str) -> str:
+        self._body = (self._with if message == "mask" else self._without).body
+        return message
+
+
+class Reading(Still):
+    """Does the same thing forever, and is sent masks."""
+
+    agent_masks = True
+
+
 @contextmanager
 def serving(
     role: str, size: str, url: str, sessions: range = range(1), variables: Mapping[str, str] = os.environ
@@ -74,9 +103,11 @@ def _main(role: str, size: str, url: str, start: str, stop: str) -> None:
     names = [str(number) for number in range(int(start), int(stop))]
     key, hub_key = os.environ.get("GLUE_KEY"), os.environ.get("GLUE_HUB_KEY")
     if role == "agent":
-        serve_agent({name: Still() for name in names}, url, key=key, hub_key=hub_key)
+        still = Reading if size == MASKED else Still
+        serve_agent({name: still() for name in names}, url, key=key, hub_key=hub_key)
     else:
-        serve_environment({name: Walk(SIZES[size]) for name in names}, url, key=key, hub_key=hub_key)
+        walks = {name: Masked() if size == MASKED else Walk(SIZES[size]) for name in names}
+        serve_environment(walks, url, key=key, hub_key=hub_key)
 
 
 if __name__ == "__main__":

@@ -173,15 +173,15 @@ def _connected(folder: Path, number: int, hub_key: str) -> None:
 
 def _watch(
     processes: tuple[int, int], directory: Path
-) -> tuple[list[_Sample], list[float], list[tuple[bool, int]]]:
-    """Return samples, the latencies of pages, and how many attempts were over in windows with and without."""
+) -> tuple[list[_Sample], list[float], list[tuple[bool, float]]]:
+    """Return samples, latencies of pages, and an attempt's CPU time in windows with and without pages."""
     samples = [_sample(processes)]
     latencies: list[float] = []
-    windows: list[tuple[bool, int]] = []
+    windows: list[tuple[bool, float]] = []
     began = time.monotonic()
     while time.monotonic() - began < 60 * _MINUTES:
         for pages in (0, _PAGES):
-            before, until = _over(directory), time.monotonic() + _WINDOW_SECONDS
+            before, until = _played(processes[0], directory), time.monotonic() + _WINDOW_SECONDS
             threads = [
                 threading.Thread(target=_page, args=(until, latencies), daemon=True) for _ in range(pages)
             ]
@@ -191,7 +191,10 @@ def _watch(
             time.sleep(max(0.0, until - time.monotonic()))
             for thread in threads:
                 thread.join()
-            windows.append((pages > 0, _over(directory) - before))
+            used, over = (
+                now - was for now, was in zip(_played(processes[0], directory), before, strict=True)
+            )
+            windows.append((pages > 0, used / over))
             samples.append(_sample(processes))
     return samples, latencies, windows
 
@@ -221,11 +224,22 @@ def _over(directory: Path) -> int:
     return sum(one.act == OVER for one in acts_of(directory))
 
 
+def _played(server: int, directory: Path) -> tuple[float, int]:
+    """Return the CPU time in seconds of all matches and replays so far, and the number of attempts."""
+    workers = [child for child in _children(server) if "experiment_runner.processes.warm" in _words(child)]
+    return sum(_cpu(child, 15) for child in workers), _over(directory)
+
+
+def _cpu(process: int, end: int = 13) -> float:
+    """Return the CPU time of a process in seconds; with an `end` of 15, also of its children that ended."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return sum(map(int, fields[11:end])) / 100
+
+
 def _sample(processes: tuple[int, int]) -> _Sample:
     cpu, memory = [], []
     for process in processes:
-        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-        cpu.append((int(fields[11]) + int(fields[12])) / 100)
+        cpu.append(_cpu(process))
         found = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{process}/status").read_text())
         assert found is not None
         memory.append(int(found[1]) * 1024)
@@ -255,13 +269,13 @@ def _idle(directory: Path) -> float:
 
 
 def _table(
-    samples: list[_Sample], latencies: list[float], windows: list[tuple[bool, int]], directory: Path
+    samples: list[_Sample], latencies: list[float], windows: list[tuple[bool, float]], directory: Path
 ) -> Table:
     first, last = samples[1], samples[-1]
     minutes = (last.time - first.time) / 60
     used = [(after - before) / (60 * minutes) for before, after in zip(first.cpu, last.cpu, strict=True)]
     alone, watched = (
-        statistics.mean(over for is_open, over in windows if is_open is which) for which in (False, True)
+        statistics.median(used for is_open, used in windows if is_open is which) for which in (False, True)
     )
     ordered = sorted(latencies)
     mib = [
@@ -285,6 +299,9 @@ def _table(
             ("CPU of the server and of the page (cores)", f"{used[0]:.2f}, {used[1]:.2f}"),
             ("memory of the server: first, middle, end (MiB)", ", ".join(map(str, mib[0]))),
             ("memory of the page (MiB)", ", ".join(map(str, mib[1]))),
-            ("attempts lost to open pages", f"{100 * (1 - watched / alone):.1f} %"),
+            (
+                "CPU of the matches of an attempt, without and with open pages (s)",
+                f"{alone:.3f}, {watched:.3f}",
+            ),
         ],
     )

@@ -26,7 +26,7 @@ MAX_EXTRAS_SIZE: Final = 2**16 - 1
 
 Extra = int | float | str | bytes | tuple[int, ...] | tuple[float, ...]
 GivenExtra = Extra | list[int] | list[float] | np.generic | npt.NDArray[Any]
-"""What an environment may give: also lists, and NumPy's numbers and one-dimensional arrays of numbers."""
+"""The values that an environment may give: also lists, and NumPy's numbers and their flat arrays."""
 
 _INT64: Final = range(-(2**63), 2**63)
 _ALLOWED: Final = "a number, a text, bytes, or a flat list of ints or of floats"
@@ -95,7 +95,7 @@ def _plain(value: GivenExtra) -> Any:
 
 
 def _fault(name: object, value: object) -> str:
-    """Return what is wrong with a name and a value; "" if nothing is."""
+    """Return the fault of a name or its value as a text; "" if there is none."""
     if type(name) is not str or not 0 < len(name) <= MAX_EXTRA_NAME or not name.isprintable():
         return f"the name of an extra has 1 to {MAX_EXTRA_NAME} printable characters, not {name!r:.80}"
     if type(value) in (float, str, bytes) or (type(value) is int and value in _INT64):

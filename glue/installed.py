@@ -1,12 +1,15 @@
-"""The entry points of installed packages, by which players and what belongs to them are found."""
+"""Installed packages: their entry points, by which players and what belongs to them are found, and extras."""
 
 from __future__ import annotations
 
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
+
+from glue.errors import ConfigError, GlueError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
@@ -31,3 +34,12 @@ def _changed(folder: str) -> int:
     with suppress(OSError):
         return os.stat(folder).st_mtime_ns
     return 0
+
+
+@contextmanager
+def needing(extra: str, why: str, error: type[GlueError] = ConfigError) -> Iterator[None]:
+    """Name the extra to install if an import inside fails; `why` says what needs which package."""
+    try:
+        yield
+    except ImportError:
+        raise error(f"{why}: pip install 'glue-rl[{extra}]'") from None

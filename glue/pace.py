@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # NumPy is not needed for a command's help
     from glue.types import Action
 
 REPEAT: Final = "repeat"
-"""What is carried out until an action comes: the last one, again."""
+"""The late action is the last one, again."""
 
 MAX_RATE: Final = 1000.0
 """Steps per second; a hub's clock has a resolution of a millisecond."""

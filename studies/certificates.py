@@ -22,7 +22,7 @@ from agents.planner.search import SETTINGS, STAY, make_room, model, search
 from env_server.mario import InfiniteMario
 from env_server.mario.game import Game
 from env_server.mario.level_sets import VERSION, LevelFolder, LevelSet
-from experiment_runner.store.output import written
+from experiment_runner.store.run_data import written
 from experiment_runner.study.generalisation.benchmark import Benchmark, read_scores
 from experiment_runner.study.generalisation.players import ACTIONS, level_set
 from experiment_runner.study.generalisation.summary import Document, table

@@ -25,8 +25,19 @@ import torch
 from torch import nn
 
 from agents.mario.agent import NUM_ACTIONS
-from agents.network.agent import LAYERS, WIDTHS, Network, preferences, save
-from agents.network.features import FEATURES, NONE, RECENT, Reals, features, remember
+from agents.network.agent import (
+    FEATURES,
+    LAYERS,
+    NONE,
+    RECENT,
+    WIDTHS,
+    Network,
+    Reals,
+    features,
+    preferences,
+    remember,
+    save,
+)
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LevelSet
 from env_server.mario.many.games import SAME_STEP, Games

@@ -7,7 +7,7 @@ from typing import Final
 
 import click
 
-from experiment_runner.store.output import written
+from experiment_runner.store.run_data import written
 from experiment_runner.study.paper.report import with_tables
 
 docs_option: Final = click.option(

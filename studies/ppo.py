@@ -24,8 +24,7 @@ import torch
 from torch import nn
 
 from agents.mario.agent import NUM_ACTIONS
-from agents.network.agent import WIDTHS, load, save
-from agents.network.features import FEATURES, NONE, RECENT, Reals, features, remember
+from agents.network.agent import FEATURES, NONE, RECENT, WIDTHS, Reals, features, load, remember, save
 from glue.errors import ConfigError, GlueError
 
 GAMES, LENGTH = 256, 64  # steps of each game between two updates

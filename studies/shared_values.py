@@ -20,12 +20,21 @@ import click
 import numpy as np
 
 from agents.mario.agent import LEFT, RIGHT, STAY, action_number
-from agents.mario.monsters import absolute_motion
-from agents.mario.scene import A_COIN, A_MONSTER, A_QUESTION, AWAY, NO_MOTION, STATIONARY, TOWARDS, VERTICAL
+from agents.mario.objects import (
+    A_COIN,
+    A_MONSTER,
+    A_QUESTION,
+    AWAY,
+    NO_MOTION,
+    STATIONARY,
+    TOWARDS,
+    VERTICAL,
+    absolute_motion,
+)
 from agents.mohan2010 import flo
-from agents.policy import extend, feature
+from agents.sarsa import extend, feature
+from agents.soar.agents import parse_rules
 from agents.soar.mario_link import SPRITES
-from agents.soar.player import parse_rules
 from experiment_runner.analysis.stats import FloatArray
 from experiment_runner.report.tables import markdown_table
 from experiment_runner.store.database import holds_run, reported

@@ -33,7 +33,7 @@ class Learned(NamedTuple):
 
 
 def learned_values(rules: Iterable[str]) -> dict[Learned, float]:
-    """Return the values of rules, as `agents.soar.player.parse_rules` gives them.
+    """Return the values of rules, as `agents.soar.agents.parse_rules` gives them.
 
     Raises:
         SaveError: a rule is not one of the productions that come with Mario's agents.

@@ -16,10 +16,9 @@ import numpy as np
 
 from agents.mario.agent import MarioAgent
 from agents.mario.best import BestAgent
-from agents.mario.objects import look
+from agents.mario.objects import Scene, Senses, look
 from agents.mario.observation import Screen, read
 from agents.mario.sample import SampleAgent
-from agents.mario.scene import Scene, Senses
 from agents.mohan2010.flat import TilesAgent
 from agents.mohan2010.hierarchical import HierarchicalAgent
 from agents.network.agent import NetworkAgent

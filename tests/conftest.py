@@ -72,8 +72,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    wanted = config.getoption("--stage")
     stage = FOLDERS.get(_name(collection_path))
-    return True if stage is not None and config.getoption("--stage") not in (stage, "all") else None
+    if wanted == "all" or stage == wanted:
+        return None
+    if stage is not None:
+        return True
+    # To import all tests would take most of the time of a small stage.
+    ours = wanted == "test" or collection_path.suffix != ".py" or _stage_of(collection_path) == wanted
+    return None if ours or f'stage("{wanted}")' in collection_path.read_text("utf-8") else True
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -23,6 +23,8 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
 
+from experiment_runner.plan.provenance import about
+from experiment_runner.plan.user_files import user_files
 from experiment_runner.processes import children, warm
 
 BIN: Final = Path(sys.executable).parent
@@ -56,6 +58,10 @@ SERVER.set_forkserver_preload(
         "tests.scripted.process",
     ]
 )
+
+
+about()  # what is installed is found out once, for all commands
+user_files([])
 
 
 class Forked:
@@ -128,7 +134,7 @@ def start(*command: str, cwd: Path, env: Mapping[str, str] | None = None, printe
 
 
 class _Child(subprocess.Popen[bytes]):
-    """A module in a process forked from this one, in place of `experiment_runner.processes.watchdog.spawn`.
+    """A module in a process forked from this one, in place of `experiment_runner.processes.children.spawn`.
 
     It keeps no descriptor of this process but the standard ones and `pass_fds`, and has signals as a new one.
     """

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from glue.cli.players import Extra, player_command
+from glue.cli.shared import FILE
 from glue.plugins.loading import load_trained
 from glue.wire.messages import Role
 
@@ -20,7 +19,7 @@ agent: click.Group = player_command(
     Extra(
         click.Option(
             ["--load", "_load"],
-            type=click.Path(path_type=Path, dir_okay=False),
+            type=FILE,
             help="Load what an agent of this kind has learned, and the state of its random generator, from "
             "this file of `glue-results agent`.",
         ),

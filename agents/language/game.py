@@ -1,32 +1,37 @@
-"""A game as a language model plays it: its turns, its sequences of actions, what is illegal, and forfeits.
+"""A game as a language model plays it: its turns, its sequences of actions, what is illegal, and forfeits;
+and the base class of the agents that play so.
 
 The agent's role of a session is on one side (`start`, `step`, `end`, `next_action`), a model on the other
 (`look`, `act`, `give_up`). Nothing here waits or knows which client asks, so a game survives its clients.
 
-A *turn* is one choice of the model's. Turns are counted over all episodes, and each episode begins with one
-of its own, so that none can be played in another episode. Whoever repeats the last choice with its turn gets
-the same answer, and nothing is done again; any other turn but the current one is refused.
+A *turn* is one choice of the model's. Turns are counted over all episodes, and each episode begins with
+one of its own, so that none can be played in another episode. Whoever repeats the last choice with its
+turn gets the same answer, and nothing is done again; any other turn but the current one is refused.
 
-An episode that is forfeit is played to its end by standing still, as the passive agent of a competition does:
-no call of RL-Glue lets an agent end an episode, and were the episode void, who gives up would get another one
-in its place. Its actions are in every record like any others.
+An episode that is forfeit is played to its end by standing still, as the passive agent of a competition
+does: no call of RL-Glue lets an agent end an episode, and were the episode void, who gives up would get
+another one in its place. Its actions are in every record like any others.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import time
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import Enum, StrEnum
+from threading import Condition
 from typing import Annotated, Any, Final, NamedTuple
 
 from agents.language.texts import IllegalChoice, Texts
-from glue.console import printable
+from glue.console import LOG, printable
 from glue.errors import GlueError
 from glue.options import Option
+from glue.roles import Agent
 from glue.types import Action, Observation
 
 _MOST_STILL: Final = 10_000
@@ -359,3 +364,83 @@ class Game:
         if played:
             self._plan.clear()
             self._answer = self.view()
+
+
+class LanguageAgent(Agent):
+    """An agent whose actions a language model chooses.
+
+    It answers two messages in JSON: `record` with its settings, the SHA-256 of its prompt, the counts of the
+    episode and its newest raw answers, and `answers` with the raw answers of the newest choice.
+
+    Args:
+        options: of the agent.
+    """
+
+    agent_masks = True
+
+    def __init__(self, options: Any) -> None:
+        self.options = options
+        self.game: Final = Game(options)
+        self.changed: Final = Condition()
+        """Guards the game, and is notified when it has changed."""
+
+    @property
+    @abstractmethod
+    def how(self) -> str:
+        """How to play by this agent, in words."""
+
+    @abstractmethod
+    def choose(self) -> None:
+        """Ask the model, or wait for it a little; the game is guarded."""
+
+    @property
+    def prompt(self) -> str:
+        """The text from which the model knows the game, as far as it is known, and how to play it."""
+        return self.how if self.game.texts is None else f"{self.game.texts.rules}\n{self.how}"
+
+    def agent_init(self, task_spec: str) -> None:
+        with self.changed:
+            self.game.task(task_spec)
+            LOG.info("the prompt has the SHA-256 %s", self._digest())
+            self.changed.notify_all()
+
+    def agent_start(self, observation: Observation) -> Action:
+        with self.changed:
+            self.game.start(observation)
+            return self._act()
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        with self.changed:
+            self.game.step(reward, observation)
+            return self._act()
+
+    def agent_end(self, reward: float) -> None:
+        with self.changed:
+            self.game.end(reward)
+            self.changed.notify_all()
+
+    def agent_cleanup(self) -> None:
+        with self.changed:
+            self.game.close()
+            self.changed.notify_all()
+
+    def agent_message(self, message: str) -> str:
+        with self.changed:
+            record = {"settings": asdict(self.options), "prompt": self._digest(), **self.game.record()}
+        newest = record.pop("newest")
+        if message not in ("record", "answers"):
+            return "a language model answers the messages record and answers"
+        return json.dumps(record if message == "record" else newest, ensure_ascii=False)
+
+    def agent_metrics(self) -> Mapping[str, float]:
+        with self.changed:
+            return {name: float(count) for name, count in asdict(self.game.counts).items()}
+
+    def _act(self) -> Action:
+        self.changed.notify_all()
+        while (action := self.game.next_action()) is None:
+            self.choose()
+        return action
+
+    def _digest(self) -> str:
+        return hashlib.sha256(self.prompt.encode()).hexdigest()

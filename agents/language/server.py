@@ -20,8 +20,7 @@ from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
-from agents.language.agent import LanguageAgent
-from agents.language.game import UNTIL, Answer, GameOptions, GameOver, NotNow, Phase, Until
+from agents.language.game import UNTIL, Answer, GameOptions, GameOver, LanguageAgent, NotNow, Phase, Until
 from glue import __version__
 from glue.console import LOG
 from glue.errors import ConfigError, GlueError

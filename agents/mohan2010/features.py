@@ -12,11 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from agents.mario.objects import tile_above
+from agents.mario.objects import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Scene, tile_above
 from agents.mario.observation import Screen, tile
-from agents.mario.scene import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Scene
-from agents.policy import extend, feature
-from agents.sarsa import Keys
+from agents.sarsa import Keys, extend, feature
 from glue.compiled.jit import jit
 
 WINDOW: Final = 15

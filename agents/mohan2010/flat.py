@@ -18,13 +18,10 @@ import numpy as np
 from agents import sarsa
 from agents.mario import observation
 from agents.mario.agent import NUM_ACTIONS
-from agents.mario.monsters import THREATS_2010, forget_monsters
-from agents.mario.objects import look
-from agents.mario.scene import Scene, Senses, set_senses
+from agents.mario.objects import THREATS_2010, Scene, Senses, forget_monsters, look, set_senses
 from agents.mohan2010 import features
 from agents.mohan2010.learner import FULL, MALFORMED, LearnerOptions, MarioLearner, ObjectOptions
-from agents.policy import epsilon_greedy
-from agents.sarsa import Keys, Taken, Values
+from agents.sarsa import Keys, Taken, Values, epsilon_greedy
 from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, new
 from glue.options import Option

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.mario.agent import RIGHT, action_number
+from agents.mario.objects import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Object, Scene
 from agents.mario.observation import COIN, OUTSIDE, PIPE, QUESTION, ROWS, SOLID, Screen, tile
-from agents.mario.scene import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Object, Scene
-from agents.policy import extend, feature
+from agents.sarsa import extend, feature
 from glue.compiled.jit import jit
 
 Numbers = npt.NDArray[np.int64]

@@ -16,8 +16,7 @@ import numpy as np
 
 from agents.mario.agent import ACTIONS, MarioAgent, SarsaOptions
 from agents.mario.observation import CHARS, malformed
-from agents.policy import seeded
-from agents.sarsa import Learner, contents, grown, table_of
+from agents.sarsa import Learner, contents, grown, seeded, table_of
 from glue.compiled.jit import announce_compilation
 from glue.compiled.records import Array, new
 from glue.errors import SaveError

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from glue.errors import ConfigError, SimulatorError
+from glue.installed import needing
 from glue.taskspec import TaskSpec
 from glue.types import Action, Observation
 
@@ -217,10 +218,8 @@ def _kernels() -> _Kernels:
 
 def require_soar() -> None:
     """Raise ConfigError if soar-sml is not installed."""
-    try:
+    with needing("soar", "this agent needs soar-sml"):
         import soar_sml  # noqa: F401
-    except ImportError:
-        raise ConfigError("this agent needs soar-sml: pip install 'glue-rl[soar]'") from None
 
 
 def _end_of(printed: str) -> str:

@@ -17,31 +17,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from agents.mario import observation as mario
 from agents.mario.agent import ACTIONS, LEFT, RIGHT, STAY, action_number
-from agents.mario.observation import (
-    BLANK,
-    BRICK,
-    COIN,
-    COLUMNS,
-    FINISH,
-    FIRE_FLOWER,
-    FIREBALL,
-    GOOMBA,
-    GREEN_KOOPA,
-    LEDGE,
-    MARIO,
-    MUSHROOM,
-    PIPE,
-    PLANT,
-    QUESTION,
-    RED_KOOPA,
-    ROWS,
-    SHELL,
-    SOLID,
-    SPIKEY,
-    Seen,
-    decode,
-)
 from agents.soar.kernel import Element, Kernel, SoarError, SoarLink
 from glue.taskspec import TaskSpec
 from glue.types import Action, Observation
@@ -50,26 +27,26 @@ SPRITES: Final = {
     0: "small",
     10: "big",
     11: "fiery",
-    RED_KOOPA: "red-koopa",
-    GREEN_KOOPA: "green-koopa",
-    GOOMBA: "goomba",
-    SPIKEY: "spikey",
-    PLANT: "piranha-plant",
-    MUSHROOM: "mushroom",
-    FIRE_FLOWER: "fire-flower",
-    FIREBALL: "fireball",
-    SHELL: "shell",
+    mario.RED_KOOPA: "red-koopa",
+    mario.GREEN_KOOPA: "green-koopa",
+    mario.GOOMBA: "goomba",
+    mario.SPIKEY: "spikey",
+    mario.PLANT: "piranha-plant",
+    mario.MUSHROOM: "mushroom",
+    mario.FIRE_FLOWER: "fire-flower",
+    mario.FIREBALL: "fireball",
+    mario.SHELL: "shell",
 }
 """The names of the kinds of sprites."""
 
 _TILES: Final = {
-    COIN: "coin",
-    QUESTION: "question",
-    BRICK: "brick",
-    PIPE: "pipe",
-    LEDGE: "ledge",
-    SOLID: "solid",
-    FINISH: "finish",
+    mario.COIN: "coin",
+    mario.QUESTION: "question",
+    mario.BRICK: "brick",
+    mario.PIPE: "pipe",
+    mario.LEDGE: "ledge",
+    mario.SOLID: "solid",
+    mario.FINISH: "finish",
 }
 _YES_NO: Final = ("no", "yes")
 _MOTION: Final = ("x", "y", "speed-x", "speed-y")
@@ -77,7 +54,7 @@ _MOTION: Final = ("x", "y", "speed-x", "speed-y")
 _DIRECTIONS: Final = {"left": LEFT, "stay": STAY, "right": RIGHT}
 _JUMPS: Final = {"no": False, "yes": True}
 _SPEEDS: Final = {"low": False, "high": True}
-_EMPTY: Final = bytes([BLANK]) * ROWS
+_EMPTY: Final = bytes([mario.BLANK]) * mario.ROWS
 
 
 @dataclass(slots=True)
@@ -132,14 +109,14 @@ class MarioLink(SoarLink):
         self._drop_monsters(0)
 
     def _put(self, observation: Observation) -> None:
-        seen = decode(observation)
+        seen = mario.decode(observation)
         self._put_mario(seen)
         self._put_monsters(seen)
         self._put_columns(seen)
 
     # Sprites
 
-    def _put_mario(self, seen: Seen) -> None:
+    def _put_mario(self, seen: mario.Seen) -> None:
         kernel = self._kernel
         numbers = seen.doubles[:4]
         square = int(numbers[0]), int(numbers[1])
@@ -162,7 +139,7 @@ class MarioLink(SoarLink):
             self._move(self._mario, numbers)
         self._square = square
 
-    def _put_monsters(self, seen: Seen) -> None:
+    def _put_monsters(self, seen: mario.Seen) -> None:
         kinds = seen.kinds[1:]
         known = 0
         while known < min(len(kinds), len(self._monsters)) and kinds[known] == self._monsters[known].kind:
@@ -205,13 +182,13 @@ class MarioLink(SoarLink):
 
     # Tiles
 
-    def _put_columns(self, seen: Seen) -> None:
+    def _put_columns(self, seen: mario.Seen) -> None:
         first = seen.camera
-        for number in [n for n in self._columns if not first <= n < first + COLUMNS]:
+        for number in [n for n in self._columns if not first <= n < first + mario.COLUMNS]:
             self._drop_column(number)
-        for k in range(COLUMNS):
+        for k in range(mario.COLUMNS):
             column = self._columns.get(first + k) or self._add_column(first + k)
-            tiles = seen.chars[k :: COLUMNS + 1].replace(bytes([MARIO]), bytes([BLANK]))
+            tiles = seen.chars[k :: mario.COLUMNS + 1].replace(bytes([mario.MARIO]), bytes([mario.BLANK]))
             if tiles != column.tiles:
                 self._put_tiles(column, tiles)
 
@@ -237,13 +214,13 @@ class MarioLink(SoarLink):
 
     def _put_tiles(self, column: _Column, tiles: bytes) -> None:
         kernel = self._kernel
-        for i in range(ROWS):
+        for i in range(mario.ROWS):
             if tiles[i] == column.tiles[i]:
                 continue
-            row = ROWS - 1 - i
+            row = mario.ROWS - 1 - i
             if row in column.elements:
                 kernel.remove(column.elements.pop(row))
-            if tiles[i] != BLANK:
+            if tiles[i] != mario.BLANK:
                 element = kernel.add_identifier(column.element, "tile")
                 kernel.add_text(element, "type", _TILES.get(tiles[i], str(tiles[i])))
                 kernel.add_int(element, "row", row)

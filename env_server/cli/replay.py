@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from glue import __version__
+from glue.cli.shared import FILE
 from glue.console import one_line, say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
@@ -21,8 +22,7 @@ from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
-    from env_server.replay.episodes import Moment, RecordedRun
-    from env_server.replay.golden import GoldenReader
+    from env_server.replay.episodes import GoldenReader, Moment, RecordedRun
     from glue.roles import Environment
     from glue.trajectory import TrajectoryReader
     from glue.types import Observation
@@ -61,12 +61,7 @@ if TYPE_CHECKING:
     metavar="ID",
     help="Write all FILEs to a new dataset of Minari, as mines/sarsa-v0, and show nothing.",
 )
-@click.option(
-    "--parquet",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="OUT",
-    help="Write all FILEs to a table, and show nothing.",
-)
+@click.option("--parquet", type=FILE, metavar="OUT", help="Write all FILEs to a table, and show nothing.")
 @click.option(
     "--env",
     "name",
@@ -160,7 +155,7 @@ class _Counted:
 
     @property
     def levels(self) -> int:
-        from env_server.replay.golden import GoldenReader
+        from env_server.replay.episodes import GoldenReader
 
         return self._reader.levels if isinstance(self._reader, GoldenReader) else 0
 

@@ -16,10 +16,9 @@ from gymnasium import spaces
 from minari.data_collector import EpisodeBuffer
 from minari.dataset.minari_dataset import parse_dataset_id
 
-from env_server.datasets.episodes import Played, played
+from env_server.datasets.parquet import Played, played
 from glue.errors import ConfigError, TaskSpecError
-from glue.gym.codec import Codec
-from glue.gym.spaces import read_spaces
+from glue.gym.spaces import Codec, read_spaces
 from glue.taskspec import parse_task_spec
 from glue.trajectory import Run, TrajectoryReader
 from glue.types import AbstractType, arrays_of

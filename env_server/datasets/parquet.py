@@ -1,20 +1,70 @@
-"""Recordings as tables in Parquet."""
+"""Recordings as tables in Parquet; the recorded episodes that count and have a step."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import pyarrow as arrow
 from pyarrow import parquet
 
-from env_server.datasets.episodes import Played, played
 from glue.errors import ConfigError
-from glue.trajectory import Run, TrajectoryReader
-from glue.types import AbstractType
+from glue.trajectory import Ending, Run, TrajectoryError, TrajectoryReader
+from glue.types import AbstractType, Action, Observation
+
+
+class Played(NamedTuple):
+    """An episode of T steps.
+
+    run           its environment
+    observations  T + 1 of them
+    actions       T of them
+    rewards       of each action
+    terminal      whether the last step was terminal; otherwise the episode was truncated after it
+    late          whether each action was late (see `glue.pace`)
+    """
+
+    run: Run
+    observations: list[Observation]
+    actions: list[Action]
+    rewards: list[float]
+    terminal: bool
+    late: list[bool]
+
+
+def played(readers: Sequence[TrajectoryReader]) -> Iterator[Played]:
+    """Yield the recorded episodes that count, one at a time.
+
+    Raises:
+        TrajectoryError: a recording cannot be read or has no observations, or none has an episode.
+    """
+    empty = True
+    for reader in readers:
+        for episode in reader:
+            if episode.ending is Ending.VOID or not episode.steps:
+                continue
+            empty = False
+            observations = [episode.start, *(step.observation for step in episode.steps)]
+            yield Played(
+                episode.run,
+                [_known(observation, reader) for observation in observations],
+                [step.action for step in episode.steps],
+                [step.reward for step in episode.steps],
+                episode.ending is Ending.TERMINAL,
+                [episode.is_late(step) for step in range(1, len(episode.steps) + 1)],
+            )
+    if empty:
+        raise TrajectoryError(f"{', '.join(str(reader.path) for reader in readers)}: no episode that counts")
+
+
+def _known(observation: Observation | None, reader: TrajectoryReader) -> Observation:
+    if observation is None:
+        raise TrajectoryError(f"{reader.path} holds actions only, and a dataset needs observations")
+    return observation
+
 
 _NUMBERS: Final = {"ints": arrow.list_(arrow.int32()), "doubles": arrow.list_(arrow.float64())}
 _VALUE: Final = {**_NUMBERS, "chars": arrow.binary()}
@@ -28,6 +78,7 @@ _SCHEMA: Final = arrow.schema(
         ("reward", arrow.float64()),
         ("terminal", arrow.bool_()),
         ("truncated", arrow.bool_()),
+        ("late", arrow.bool_()),
     ]
 )
 
@@ -81,6 +132,7 @@ def _table(episode: Played, run: int, number: int) -> Any:
         [*episode.rewards, None],
         [*ends, episode.terminal, None],
         [*ends, not episode.terminal, None],
+        [*episode.late, None],
     ]
     arrays = [arrow.array(column, field.type) for column, field in zip(columns, _SCHEMA, strict=True)]
     return arrow.table(arrays, _SCHEMA)

@@ -71,10 +71,7 @@ def unpack(view: str, cells: Cells, reals: Reals) -> Any:
     """Return rows of a view, shapes (..., bytes) and (..., reals), as observations, without copying."""
     rows = cells.shape[:-1]
     if view == "tiles":
-        return {
-            "tiles": cells.reshape(*rows, *_WINDOW),
-            "sprites": reals.reshape(*rows, SPRITES, COLUMNS),
-        }
+        return {"tiles": cells.reshape(*rows, *_WINDOW), "sprites": reals.reshape(*rows, SPRITES, COLUMNS)}
     if view == "planes":
         return cells.reshape(*rows, PLANE_COUNT, *_WINDOW)
     if view == "pixels":

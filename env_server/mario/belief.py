@@ -255,11 +255,7 @@ def _correct_mario(
 
 @jit
 def _correct_actors(
-    world: World,
-    level: LevelMap,
-    count: int,
-    numbers: npt.NDArray[np.int32],
-    reals: npt.NDArray[np.float64],
+    world: World, level: LevelMap, count: int, numbers: npt.NDArray[np.int32], reals: npt.NDArray[np.float64]
 ) -> None:
     """Make the actors those observed, in the observed order; each keeps its known state."""
     count = min(count, ACTORS - 1)

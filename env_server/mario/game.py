@@ -1,34 +1,96 @@
-"""One game for Python callers: a record of memory, the compiled rules that act on it, and observations."""
+"""One game for Python callers: memory, the compiled rules, observations; and a level as data.
+
+Events become a reward: an ordinary reward is the difference of two running totals, not a sum of
+increments: the last bits of the two differ. A terminal reward is paid instead of the earnings of the
+unfinished step.
+Source: RL-Competition 2009, Infinite Mario's check-in and its ends of an episode.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
-from typing import Final
+from itertools import zip_longest
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.level import Level, Spawn
 from env_server.mario.observation import BODY_SIZE, encode
 from env_server.mario.parameters import Parameters
-from env_server.mario.reward import ordinary_reward, terminal_reward
-from env_server.mario.sim.state import (
-    LEVEL,
-    RED_KOOPA,
-    ROWS,
-    SPAWN_KIND,
-    SPAWN_WINGED,
-    WORLD,
-    LevelMap,
-    Levels,
-    World,
-    Worlds,
-)
+from env_server.mario.sim import state
+from env_server.mario.sim.state import World
 from env_server.mario.sim.step import act, begin
 from env_server.mario.sim.tiles import CHANGED
-from glue.compiled.jit import announce_compilation, entry
+from glue.compiled.jit import announce_compilation, entry, jit
 from glue.errors import SimulatorError
 from glue.types import Observation
+
+
+class Spawn(NamedTuple):
+    """A spawn point of an enemy; `kind` is 0 red koopa, 1 green koopa, 2 goomba, 3 spiky, 4 piranha plant."""
+
+    column: int
+    row: int
+    kind: int
+    winged: bool
+
+
+class Level(NamedTuple):
+    """A level, as it is when an episode begins.
+
+    Attributes:
+        columns: width in tiles.
+        goal: the column to pass, and the row of the ground there.
+        rows: the tiles, highest row first; two hexadecimal digits per tile.
+        spawns: by column, then row.
+    """
+
+    columns: int
+    goal: tuple[int, int]
+    rows: tuple[str, ...]
+    spawns: tuple[Spawn, ...]
+
+
+def level_difference(expected: Level, got: Level) -> str:
+    """Return the first difference between two levels, in words; "" if there is none."""
+    for what, old, new in _pairs(expected, got):
+        if old != new:
+            return f"the level's {what}: expected {old!r}, got {new!r}"
+    return ""
+
+
+def _pairs(expected: Level, got: Level) -> Iterator[tuple[str, Any, Any]]:
+    """Yield every part of two levels by name; if only one level has a part, the other value is None."""
+    yield "width", expected.columns, got.columns
+    yield "goal", expected.goal, got.goal
+    for row, tiles in enumerate(zip_longest(expected.rows, got.rows, fillvalue="")):
+        for column, (old, new) in enumerate(zip_longest(*map(_codes, tiles))):
+            yield f"tile in column {column}, row {row}", old, new
+    for number, (spawn, ours) in enumerate(zip_longest(expected.spawns, got.spawns)):
+        yield f"spawn point {number}", spawn, ours
+
+
+def _codes(row: str) -> list[str]:
+    return [row[i : i + 2] for i in range(0, len(row), 2)]
+
+
+@jit
+def ordinary_reward(world: World) -> float:
+    """Return the reward earned since the last check-in, and note it as paid."""
+    total = (
+        world.reward_step * (world.steps - 1) + world.reward_coin * world.coins
+    ) + world.reward_kill * world.kills
+    reward = total - world.paid
+    world.paid = total
+    return reward
+
+
+@jit
+def terminal_reward(world: World) -> float:
+    """Return the reward of an episode's last step. Winning takes precedence over dying."""
+    return world.reward_goal if world.win_timer > 0 else world.reward_death
+
 
 Body = npt.NDArray[np.uint8]
 """Buffer for an observation as the body of an abstract type, shape (BODY_SIZE,)."""
@@ -45,8 +107,8 @@ class Game:
     """
 
     def __init__(self, parameters: Parameters) -> None:
-        self._memory: Worlds = np.zeros(1, WORLD)
-        self._level: Levels = np.zeros(1, LEVEL)
+        self._memory: state.Worlds = np.zeros(1, state.WORLD)
+        self._level: state.Levels = np.zeros(1, state.LEVEL)
         self._shared = False  # whether a clone may play on this level too
         self._body = np.zeros(BODY_SIZE, np.uint8)
         self._bytes = self._body.data
@@ -55,15 +117,15 @@ class Game:
         _prepare()
 
     @property
-    def world(self) -> World:
+    def world(self) -> state.World:
         """The memory of the game, for inspection; see `env_server.mario.sim.state`."""
-        world: World = self._memory[0]
+        world: state.World = self._memory[0]
         return world
 
     @property
-    def level_map(self) -> LevelMap:
+    def level_map(self) -> state.LevelMap:
         """The memory of the level as it was generated."""
-        level: LevelMap = self._level[0]
+        level: state.LevelMap = self._level[0]
         return level
 
     @property
@@ -71,12 +133,12 @@ class Game:
         """The level as it is now; its tiles show used blocks and collected coins."""
         level = self.level_map
         tiles, spawns = level.tiles[: level.columns], level.spawns[: level.columns]
-        changed = self.world.changed[: level.columns, np.newaxis] >> np.arange(ROWS) & 1
+        changed = self.world.changed[: level.columns, np.newaxis] >> np.arange(state.ROWS) & 1
         tiles = np.where(changed == 1, CHANGED[tiles], tiles)
         return Level(
             int(level.columns),
             (int(level.exit_x), int(level.exit_y)),
-            tuple(tiles[:, row].tobytes().hex() for row in range(ROWS)),
+            tuple(tiles[:, row].tobytes().hex() for row in range(state.ROWS)),
             tuple(_spawn(x, y, int(spawns[x, y])) for x, y in np.argwhere(spawns).tolist()),
         )
 
@@ -91,7 +153,7 @@ class Game:
             if self.level_map.seed != self.world.level_seed:
                 self._level, self._shared = self._picture.levels(), False
         elif self._shared:
-            self._level, self._shared = np.zeros(1, LEVEL), False
+            self._level, self._shared = np.zeros(1, state.LEVEL), False
         _, size = _carry_out(self._memory, self._level, True, 0, 0, 0, self._body)
         self._observation = Observation._wrap(bytes(self._bytes[:size]))
         return self._observation
@@ -140,7 +202,7 @@ class Game:
     def clone(self) -> Game:
         """Return another game at the same point."""
         game = Game.__new__(Game)
-        game._memory = self._memory.view(np.uint8).copy().view(WORLD)
+        game._memory = self._memory.view(np.uint8).copy().view(state.WORLD)
         game._level, game._picture = self._level, self._picture
         game._shared = self._shared = True
         game._body = np.zeros(BODY_SIZE, np.uint8)
@@ -157,12 +219,12 @@ class Game:
 
 
 def _spawn(column: int, row: int, code: int) -> Spawn:
-    return Spawn(column, row, (code & SPAWN_KIND) - RED_KOOPA, code & SPAWN_WINGED != 0)
+    return Spawn(column, row, (code & state.SPAWN_KIND) - state.RED_KOOPA, code & state.SPAWN_WINGED != 0)
 
 
 @entry
 def _carry_out(
-    worlds: Worlds, levels: Levels, begins: bool, direction: int, jump: int, run: int, body: Body
+    worlds: state.Worlds, levels: state.Levels, begins: bool, direction: int, jump: int, run: int, body: Body
 ) -> tuple[float, int]:
     """Begin an episode in the first of `worlds`, or carry out an action in it.
 
@@ -172,8 +234,8 @@ def _carry_out(
         The reward, and the length of the observation now in `body`: 0 if the episode ended, -1 if there is no
         episode.
     """
-    world: World = worlds[0]
-    level: LevelMap = levels[0]
+    world: state.World = worlds[0]
+    level: state.LevelMap = levels[0]
     if begins:
         begin(world, level)
     elif not world.playing:
@@ -186,15 +248,15 @@ def _carry_out(
 
 @entry
 def _play_first(
-    worlds: Worlds,
-    levels: Levels,
+    worlds: state.Worlds,
+    levels: state.Levels,
     buttons: npt.NDArray[np.int64],
     choices: npt.NDArray[np.int64],
     rewards: npt.NDArray[np.float64],
 ) -> int:
     """Carry out actions in the first of `worlds`, like `Game.play`; return how many."""
-    world: World = worlds[0]
-    level: LevelMap = levels[0]
+    world: state.World = worlds[0]
+    level: state.LevelMap = levels[0]
     for i in range(len(choices)):
         action = buttons[choices[i]]
         if not act(world, level, action[0], action[1], action[2]):
@@ -208,4 +270,6 @@ def _play_first(
 def _prepare() -> None:
     """Load the compiled rules or, on first use, compile them and announce it."""
     with announce_compilation("Infinite Mario"):
-        _carry_out(np.zeros(1, WORLD), np.zeros(1, LEVEL), True, 0, 0, 0, np.zeros(BODY_SIZE, np.uint8))
+        _carry_out(
+            np.zeros(1, state.WORLD), np.zeros(1, state.LEVEL), True, 0, 0, 0, np.zeros(BODY_SIZE, np.uint8)
+        )

@@ -15,21 +15,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from env_server.mario.sim import state
 from env_server.mario.sim import tiles as tile
 from env_server.mario.sim.levels import EXTRA_COLUMNS, GROUND_CODES, finish
-from env_server.mario.sim.state import (
-    COLUMNS,
-    GOOMBA,
-    GREEN_KOOPA,
-    LEVEL,
-    PLANT,
-    RED_KOOPA,
-    ROWS,
-    SPAWN_WINGED,
-    SPIKY,
-    LevelMap,
-    Levels,
-)
 from glue.compiled.jit import entry
 from glue.errors import ConfigError
 from glue.files import read_regular
@@ -43,16 +31,16 @@ _CORPUS_ROWS: Final = 14
 _START: Final = 8  # columns in which the start may be marked
 
 _MONSTERS: Final = {
-    "r": RED_KOOPA,
-    "k": GREEN_KOOPA,
-    "g": GOOMBA,
-    "E": GOOMBA,
-    "y": SPIKY,
-    "P": PLANT,
-    "R": RED_KOOPA | SPAWN_WINGED,
-    "K": GREEN_KOOPA | SPAWN_WINGED,
-    "G": GOOMBA | SPAWN_WINGED,
-    "Y": SPIKY | SPAWN_WINGED,
+    "r": state.RED_KOOPA,
+    "k": state.GREEN_KOOPA,
+    "g": state.GOOMBA,
+    "E": state.GOOMBA,
+    "y": state.SPIKY,
+    "P": state.PLANT,
+    "R": state.RED_KOOPA | state.SPAWN_WINGED,
+    "K": state.GREEN_KOOPA | state.SPAWN_WINGED,
+    "G": state.GOOMBA | state.SPAWN_WINGED,
+    "Y": state.SPIKY | state.SPAWN_WINGED,
 }
 _TILES: Final = {
     "-": tile.EMPTY,
@@ -131,20 +119,20 @@ class Picture(NamedTuple):
         width = self.columns - EXTRA_COLUMNS
         return {"level_seed": seed, "level_type": self.type, "level_difficulty": 0, "level_width": width}
 
-    def levels(self) -> Levels:
+    def levels(self) -> state.Levels:
         """Return the level as the simulator plays it, shape (1,)."""
-        levels = np.zeros(1, LEVEL)
-        level: LevelMap = levels[0]
+        levels = np.zeros(1, state.LEVEL)
+        level: state.LevelMap = levels[0]
         level.seed, level.type = self.parameters["level_seed"], self.type
         level.columns, (level.exit_x, level.exit_y) = self.columns, self.goal
         for there, ours in ((level.tiles, self.tiles), (level.spawns, self.spawns)):
-            there[: self.columns] = np.frombuffer(ours, np.uint8).reshape(-1, ROWS)
+            there[: self.columns] = np.frombuffer(ours, np.uint8).reshape(-1, state.ROWS)
         _finish(levels)
         return levels
 
 
 @entry
-def _finish(levels: Levels) -> None:
+def _finish(levels: state.Levels) -> None:
     finish(levels[0])
 
 
@@ -182,10 +170,10 @@ def _contents(path: Path) -> tuple[bytes, str]:
     return data, hashlib.sha256(data).hexdigest()
 
 
-def write_picture(level: LevelMap) -> str:
+def write_picture(level: state.LevelMap) -> str:
     """Return a picture of a level, from which `read_picture` returns that level."""
     exit_x, exit_y = int(level.exit_x), int(level.exit_y)
-    rows = [["-"] * level.columns for _ in range(ROWS)]
+    rows = [["-"] * level.columns for _ in range(state.ROWS)]
     added = [f"type {level.type}"] if level.type else []
 
     def put(column: int, row: int, character: str) -> None:
@@ -197,7 +185,7 @@ def write_picture(level: LevelMap) -> str:
     for column, row in np.argwhere(level.tiles[: level.columns]).tolist():
         put(column, row, _CHARACTERS[int(level.tiles[column, row])])
     for column, row in np.argwhere(level.spawns[: level.columns]).tolist():
-        if level.spawns[column, row] == PLANT and rows[row][column] == "<":
+        if level.spawns[column, row] == state.PLANT and rows[row][column] == "<":
             rows[row][column] = "T"
         else:
             put(column, row, _LETTERS[int(level.spawns[column, row])])
@@ -222,8 +210,8 @@ class _Reader:
             raise self._wrong(before.count("\n"), column, "expected plain text, not UTF-16 or the like")
         self._check_size()
         # The cells are made now that their number is checked.
-        self._tiles = np.zeros((self._columns, ROWS), np.uint8)
-        self._spawns = np.zeros((self._columns, ROWS), np.uint8)
+        self._tiles = np.zeros((self._columns, state.ROWS), np.uint8)
+        self._spawns = np.zeros((self._columns, state.ROWS), np.uint8)
         self._goal: tuple[int, int] | None = None
         added = [match[3] for line in self._lines if (match := _ADDITION.fullmatch(line))]
         used = "".join([*self._rows, *added])
@@ -233,27 +221,27 @@ class _Reader:
         self._known = {*_CORPUS, "E"} if is_corpus else {*_TILES, *_MONSTERS, *_PIPE, *_MARKS}
 
     def picture(self) -> Picture:
-        above = len(self._rows) - ROWS  # rows above the level; negative: of the level above the picture
+        above = len(self._rows) - state.ROWS  # rows above the level; negative: of the level above the picture
         for line, row in enumerate(self._rows):
             for column, character in enumerate(row):
                 self._check(line, column, character)
                 if line >= above:
                     self._put(line, column, (column, line - above), character)
                 elif character != "-":
-                    raise self._wrong(line, column, f"expected - in a row above the lowest {ROWS}")
+                    raise self._wrong(line, column, f"expected - in a row above the lowest {state.ROWS}")
         level_type = self._additions()
         crowds = np.convolve(self._spawns.astype(bool).sum(1), np.ones(_CROWD, np.int64))
         if crowds.max() > _MOST_MONSTERS:
             last = min(int(crowds.argmax()), self._columns - 1)
             most = f"at most {_MOST_MONSTERS} monsters in {_CROWD} columns"
             raise self._wrong(len(self._rows) - 1, last, f"expected {most}, not {crowds.max()}")
-        goal = self._goal or (self._columns - 1, ROWS - 1)
+        goal = self._goal or (self._columns - 1, state.ROWS - 1)
         cells = self._tiles.tobytes(), self._spawns.tobytes()
         return Picture(self._sha256, level_type, self._columns, goal, *cells)
 
     def _check_size(self) -> None:
-        if not _LEAST_COLUMNS <= self._columns <= COLUMNS:
-            expected = f"expected a picture of {_LEAST_COLUMNS} to {COLUMNS} columns"
+        if not _LEAST_COLUMNS <= self._columns <= state.COLUMNS:
+            expected = f"expected a picture of {_LEAST_COLUMNS} to {state.COLUMNS} columns"
             raise self._wrong(0, self._columns, f"{expected}, not {self._columns}")
         for line, row in enumerate(self._rows):
             if len(row) != self._columns:
@@ -284,7 +272,7 @@ class _Reader:
         elif character in _PIPE:
             self._tiles[cell] = code = self._pipe(line, column)
             if character == "T" and code == tile.PIPE_MOUTH:
-                self._spawns[cell] = PLANT
+                self._spawns[cell] = state.PLANT
         else:
             self._tiles[cell] = self._known_tiles[character]
 
@@ -306,8 +294,8 @@ class _Reader:
                 level_type = int(match[1])
             elif match := _ADDITION.fullmatch(text):
                 cell, character, column = (int(match[1]), int(match[2])), match[3], match.start(3)
-                if cell[0] >= self._columns or cell[1] >= ROWS:
-                    cells = f"column 0 to {self._columns - 1} and row 0 to {ROWS - 1}"
+                if cell[0] >= self._columns or cell[1] >= state.ROWS:
+                    cells = f"column 0 to {self._columns - 1} and row 0 to {state.ROWS - 1}"
                     raise self._wrong(line, 0, f"expected {cells}, not {cell[0]} and {cell[1]}")
                 if character in _PIPE:
                     raise self._wrong(line, column, "expected a part of a pipe as one of <>[]")

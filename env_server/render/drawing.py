@@ -22,6 +22,7 @@ from env_server.render.artwork import CLOUD, MARK, PALETTE, SPRITES, TILES, WING
 from env_server.render.scene import Scene, Sprite, between, outlined, read_scene
 from glue.cli.screen import Marks
 from glue.errors import ConfigError
+from glue.installed import needing
 from glue.types import Observation
 
 if TYPE_CHECKING:
@@ -107,10 +108,8 @@ def save_mp4(
         ConfigError: there are no observations, the file cannot be written, or imageio-ffmpeg is missing.
         SimulatorError: one is not an observation of Infinite Mario.
     """
-    try:
+    with needing("render", "films need imageio-ffmpeg"):
         from imageio_ffmpeg import get_ffmpeg_exe  # type: ignore[import-untyped]  # it has no types
-    except ImportError:
-        raise ConfigError("films need imageio-ffmpeg: pip install 'glue-rl[render]'") from None
     colors = np.array([*PALETTE.values()], np.uint8)
     pictures = _film(observations, steps_per_second / _MP4_RATE)
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH}x{HEIGHT}", "-r", str(_MP4_RATE), "-i", "-"]
@@ -286,10 +285,8 @@ def pillow() -> Any:
     Raises:
         ConfigError: Pillow is missing.
     """
-    try:
+    with needing("render", "pictures need Pillow"):
         from PIL import Image
-    except ImportError:
-        raise ConfigError("pictures need Pillow: pip install 'glue-rl[render]'") from None
     return Image
 
 

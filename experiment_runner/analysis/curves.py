@@ -80,10 +80,7 @@ def per_step(sums: FloatArray, steps: FloatArray) -> StepTotals:
 
 
 def over_episodes(
-    values: FloatArray,
-    window: int,
-    rng: np.random.Generator,
-    span: tuple[float, float] = (-np.inf, np.inf),
+    values: FloatArray, window: int, rng: np.random.Generator, span: tuple[float, float] = (-np.inf, np.inf)
 ) -> Curve | None:
     """Return the curve over episodes; None if no trial has as many as the window, or none in the span.
 

@@ -12,13 +12,12 @@ import numpy as np
 
 from experiment_runner.analysis.curves import StepTotals, per_step, step_returns
 from experiment_runner.analysis.stats import FloatArray, mean_of_last
-from experiment_runner.plan.ids import REMOTE
-from experiment_runner.plan.limits import PACE
+from experiment_runner.plan.limits import PACE, REMOTE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from experiment_runner.store.extras import extras_of
 from experiment_runner.store.readings import NO_METRIC, Metric
 from experiment_runner.store.records import MEASURES, TOTAL_REWARD, TrialRecord
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import extras_of
 from glue.console import one_line
 from glue.errors import ExperimentError
 

@@ -11,10 +11,11 @@ import click
 
 from experiment_runner.cli.compete_entrants import COMMANDS
 from experiment_runner.cli.compete_serve import ACTS, KEPT, serve
-from experiment_runner.cli.options import DIRECTORY, FILE, naming_out
+from experiment_runner.cli.options import naming_out
 from experiment_runner.cli.season_page import page
 from experiment_runner.view.launch import check_view, viewed
 from glue import __version__
+from glue.cli.shared import DIRECTORY, FILE
 from glue.console import say
 from glue.errors import ConfigError
 from glue.files import read_text
@@ -99,6 +100,8 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     """Let every entrant play every task. After an interruption, the same command plays the rest."""
     from experiment_runner.competition.course import course_of
     from experiment_runner.competition.organiser import hold, open_competition
+    from experiment_runner.competition.season.control import Door
+    from experiment_runner.competition.season.service import answering
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_secret
     from experiment_runner.executors.opening import kept_if_begun
@@ -114,7 +117,9 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
             store = stack.enter_context(open_competition(out, text, competition, secret))
         wait = stack.enter_context(viewed(out, say)) if view else None
         gate = None if keys is None else Gate(bind, keys)
-        failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say, gate)
+        workers = workers or max(1, (os.cpu_count() or 1) // 2)
+        with Door(out) as door:
+            failed = hold(store, competition, secret, workers, say, gate, answering(door))
         store.close()  # so that it can be verified while the page is open
         total = len(course_of(out).trials)
         if failed:

@@ -12,8 +12,8 @@ from typing import Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY, FILE
 from experiment_runner.competition.season.starter import LANGUAGES, write_starter
+from glue.cli.shared import DIRECTORY, FILE
 from glue.console import say
 from glue.errors import ConfigError
 

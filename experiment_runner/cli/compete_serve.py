@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import os
-import sys
+import secrets
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
-from datetime import UTC, datetime
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY, FILE, check_address, naming_out
+from experiment_runner.cli.options import check_address, naming_out
+from experiment_runner.cli.season_options import page_options
 from experiment_runner.plan.limits import Backend
+from glue.cli.shared import DIRECTORY, FILE
 from glue.console import one_line, say
-from glue.errors import ConfigError, ExperimentError
+from glue.errors import ConfigError, ExperimentError, GlueError
 from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
 
@@ -60,22 +60,7 @@ _WHY: Final = click.option(
 )
 @click.option("--keys", type=DIRECTORY, metavar="DIR", help="Directory with the hub's pair; see glue-keys.")
 @click.option("--page", metavar="HOST:PORT", help="Address of the page of the season; none without it.")
-@click.option(
-    "--proxy", default="", metavar="URL", help="Address at which browsers find the page behind a proxy."
-)
-@click.option(
-    "--insecure", is_flag=True, help="Allow a --page that other machines can reach without encryption."
-)
-@click.option(
-    "--publish", type=DIRECTORY, metavar="DIR", help="Folder into which the public page is written."
-)
-@click.option(
-    "--log-format",
-    type=click.Choice(["text", "json"]),
-    default="text",
-    show_default=True,
-    help="Lines of the log: for people, or a JSON object each with time and message.",
-)
+@page_options
 @click.option(
     "--engine",
     type=click.Choice([Backend.LOCAL.value, Backend.RAY.value]),
@@ -90,12 +75,9 @@ def serve(
     bind: str,
     keys: Path | None,
     page: str | None,
-    proxy: str,
-    insecure: bool,
-    publish: Path | None,
-    log_format: str,
     engine: str,
     address: str | None,
+    **of_page: Any,
 ) -> None:
     """Hold the season of FILE, for weeks: let entrants play attempts, and verify each at its end.
 
@@ -103,6 +85,7 @@ def serve(
     """
     from experiment_runner.competition.organiser import open_competition
     from experiment_runner.competition.season.executors import executor_of
+    from experiment_runner.competition.season.images import remove_others
     from experiment_runner.competition.season.service import check_gate
     from experiment_runner.competition.season.service import serve as hold
     from experiment_runner.competition.settings import Gate, load_competition
@@ -110,35 +93,30 @@ def serve(
     from experiment_runner.executors.opening import kept_if_begun
     from experiment_runner.view.launch import check_view, season_viewed
 
-    log = say if log_format == "text" else _log_json
     check_address(Backend(engine), address)
     if page is not None:
         check_view("page")
     competition = load_competition(file)
     if competition.season is None:
         raise ConfigError(f"{file} has no table [season]: glue-compete run holds its competition")
-    secret = read_secret(competition, os.environ, log)
-    code = read_code(competition.season, os.environ, log)
+    secret = read_secret(competition, os.environ, say)
+    code = read_code(competition.season, os.environ, say)
     gate = None if keys is None else Gate(bind, keys.absolute())
     check_gate(competition, gate)
 
-    with kept_if_begun(out, lambda: log(KEPT)), ExitStack() as stack:
+    with kept_if_begun(out, lambda: say(KEPT)), ExitStack() as stack:
         with naming_out():
             text = read_text(file, follow=True)
             store = stack.enter_context(open_competition(out, text, competition, secret))
         executor = executor_of(competition, Backend(engine), address)
         if page is not None:
-            stack.enter_context(
-                season_viewed(out, page=page, proxy=proxy, insecure=insecure, publish=publish, say=log)
-            )
-        log(f"the season is served from {out}")
-        hold(store, competition, secret, code, gate, executor, log)
-        log(f"the season is closed; now: glue-compete run {file} --out {out}")
-
-
-def _log_json(line: str) -> None:
-    now = datetime.now(UTC).isoformat(timespec="milliseconds")
-    print(json.dumps({"time": now, "message": line}), file=sys.stderr, flush=True)
+            stack.enter_context(season_viewed(out, {"page": page, **of_page}, say))
+        say(f"the season is served from {out}")
+        hold(store, competition, secret, code, gate, executor, say)
+        if competition.season.images:
+            with suppress(GlueError, ImportError):  # without an engine there are none
+                remove_others(out)
+        say(f"the season is closed; now: glue-compete run {file} --out {out}")
 
 
 @click.command()
@@ -148,9 +126,12 @@ def _log_json(line: str) -> None:
 def add(directory: Path, file: Path, why: str) -> None:
     """Add the entrants of FILE that the run in DIR does not have yet.
 
-    In a season they play at once; in a run, when `run` is started again.
+    They play at once, or when the run is started again.
     """
-    organise(directory, "add", why=why, file=str(file.absolute()))
+    from experiment_runner.competition.course import course_of
+    from experiment_runner.competition.season.acts import addition
+
+    organise(directory, "add", why=why, **addition(course_of(directory), file, secrets.token_bytes()))
 
 
 @click.command()
@@ -170,13 +151,12 @@ def exclude(directory: Path, entrants: tuple[str, ...], why: str) -> None:
 def rerun(directory: Path, which: tuple[str, ...], why: str) -> None:
     """Have something played again, on the same levels; it counts instead of the old, which is kept.
 
-    In a season, an attempt of an entrant, by default its last; in a run, trials such as alice/easy/0, which
-    `run` then plays.
+    In a season, an attempt of an entrant, by default its last; in a run, trials such as alice/easy/0, or all
+    of an entrant that are over.
     """
     if "/" in which[0]:
         for trial in dict.fromkeys(which):
             organise(directory, "rerun", subject=trial, why=why)
-        say(f"now: glue-compete run FILE --out {directory}")
         return
     name, *number = which
     if len(number) > 1 or not all(text.isdecimal() and len(text) < 10 for text in number):
@@ -220,11 +200,11 @@ ACTS: Final = (
     ),
     _act(
         "pause",
-        "Start no more attempts of an entrant of the season in DIR, or of anybody; what plays goes on.",
+        "Start nothing more of an entrant of the season or run in DIR, or of anybody; what plays goes on.",
         _ANYBODY,
     ),
     _act("readmit", "Put an entrant that was excluded from the run in DIR back on the board.", _ENTRANT),
-    _act("resume", "End a pause of an entrant of the season in DIR, or of the whole season.", _ANYBODY),
+    _act("resume", "End a pause of an entrant of the season or run in DIR, or of everybody.", _ANYBODY),
     _act("thaw", "Let the public board of the season in DIR show everything again."),
 )
 
@@ -250,19 +230,17 @@ def organise(directory: Path, kind: str, **wish: Any) -> None:
 
 
 def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]:
-    """Write the acts of a wish to the journal of a run that nobody serves."""
+    """Write the acts of a wish to the journal of a run that nobody holds."""
     from experiment_runner.competition.board.forms import line_of
     from experiment_runner.competition.course import Course, act_on
     from experiment_runner.competition.records.journal import Act, utc_now
     from experiment_runner.competition.season.acts import acts_for, competition_given
     from experiment_runner.competition.season.control import Organise
-    from experiment_runner.competition.season.state import SeasonState
     from experiment_runner.store.results import Results
 
     def acts(course: Course, results: Results) -> list[Act]:
-        state = None if course.competition.season is None else SeasonState.of(course)
-        return acts_for(wanted, competition_given(wanted), course, state, results.outcomes(), utc_now())
+        competition_given(wanted, course)
+        return acts_for(wanted, course, results.outcomes(), utc_now())
 
     wanted = Organise(kind, **wish)
-
     return [line_of(one) for one in act_on(directory, acts)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -14,14 +13,7 @@ from experiment_runner.cli.options import backend_options, check_backend
 from experiment_runner.plan.limits import CHECKPOINT_EVERY, COUNTS, PLAYERS, Backend
 from experiment_runner.view.launch import check_view
 from glue import __version__
-from glue.cli.shared import (
-    HUB_KEY_SETTINGS,
-    KEY_SETTINGS,
-    WAIT_VARIABLE,
-    keys_option,
-    legacy_port_option,
-    pace_options,
-)
+from glue.cli import shared
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.plugins.naming import NamingCommand, complete_names
@@ -148,11 +140,11 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
 @click.option(
     "--plan",
     "plan_file",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     metavar="FILE",
     help="Plan in TOML; the five numbers above override it.",
 )
-@pace_options
+@shared.pace_options
 @click.option("--in-process", is_flag=True, help="Players as objects, without a hub: fastest.")
 @click.option(
     "--inside",
@@ -189,38 +181,33 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     show_envvar=True,
     help="Session at the hub.",
 )
-@click.option("--key", **KEY_SETTINGS)
-@click.option("--hub-key", **HUB_KEY_SETTINGS)
+@click.option("--key", **shared.KEY_SETTINGS)
+@click.option("--hub-key", **shared.HUB_KEY_SETTINGS)
 @click.option(
     "--wait",
     type=click.FloatRange(0),
     metavar="SECONDS",
-    envvar=WAIT_VARIABLE,
+    envvar=shared.WAIT_VARIABLE,
     show_envvar=True,
     help="Timeout for the hub at --hub to answer. [default: wait forever]",
 )
-@legacy_port_option
-@keys_option
+@shared.legacy_port_option
+@shared.keys_option
 @click.option(
     "--insecure", is_flag=True, help="Allow --bind without --keys to addresses that other machines can reach."
 )
 @click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Directory of the run. [default: a new one in runs/]",
+    "--out", type=shared.DIRECTORY, metavar="DIR", help="Directory of the run. [default: a new one in runs/]"
 )
 @click.option("--again", is_flag=True, help="Replace the run in --out and all of its results.")
 @click.option(
     "--resume",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=shared.DIRECTORY,
     metavar="DIR",
     help="Continue a run; more --episodes, --steps or --trials extend it.",
 )
 @click.option(
-    "--trust",
-    is_flag=True,
-    help="Do not ask before executing the files that the run of --resume names.",
+    "--trust", is_flag=True, help="Do not ask before executing the files that the run of --resume names."
 )
 @click.option(
     "--any-reward",
@@ -242,7 +229,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
 )
 @click.option(
     "--record",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=shared.FILE,
     metavar="FILE",
     help="Record every step of a single trial in this new file, for glue-replay.",
 )
@@ -287,20 +274,13 @@ def experiment(**settings: Any) -> int:
       glue-experiment --plan sweep.toml --workers 4 --out runs/sweep
     """
     # Slow to import.
+    from experiment_runner.cli import run_plan
     from experiment_runner.cli.make_plan import hub_options, names_of, own_directory, planned
-    from experiment_runner.cli.run_plan import (
-        carry_out,
-        carry_out_array,
-        carry_out_search,
-        check_players,
-        check_recording,
-        results_alone,
-    )
-    from experiment_runner.executors.settings import Placement, RunConfig
+    from experiment_runner.executors.job import Placement, RunConfig
     from experiment_runner.plan.plan import describe
 
     options = SimpleNamespace(**settings)
-    with results_alone() if options.as_json else nullcontext() as results:
+    with run_plan.results_alone() if options.as_json else nullcontext() as results:
         plan, given = planned(options)
         inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
         roles = frozenset(PLAYERS[player] for player in inside)
@@ -318,9 +298,9 @@ def experiment(**settings: Any) -> int:
             extras=plan.extras,
         )
         check_backend(config)
-        check_players(config, plan)
+        run_plan.check_players(config, plan)
         if options.record is not None:
-            check_recording(config, plan)
+            run_plan.check_recording(config, plan)
         if options.dry_run:
             click.echo(describe(plan))
             return 0
@@ -335,7 +315,9 @@ def experiment(**settings: Any) -> int:
         name = options.plan_file.stem if options.plan_file else names_of(plan)
         with own_directory(given, name) as directory:
             if plan.tune is not None:
-                return carry_out_search(directory, plan, config)
+                return run_plan.carry_out_search(directory, plan, config)
             if backend is Backend.SLURM:
-                return carry_out_array(directory, plan, config, options.sbatch, options.again)
-            return carry_out(directory, plan, config, options.record, results, options.view, options.again)
+                return run_plan.carry_out_array(directory, plan, config, options.sbatch, options.again)
+            return run_plan.carry_out(
+                directory, plan, config, options.record, results, options.view, options.again
+            )

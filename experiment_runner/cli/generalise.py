@@ -142,8 +142,8 @@ def generalise(
     if context.invoked_subcommand:
         return 0
     from experiment_runner.cli.make_plan import own_directory
+    from experiment_runner.executors.job import BOTH, Placement, RunConfig
     from experiment_runner.executors.run import run_trials
-    from experiment_runner.executors.settings import BOTH, Placement, RunConfig
     from experiment_runner.plan.plan import RoleSpec
     from experiment_runner.report.progress import Progress
     from experiment_runner.store.database import reported

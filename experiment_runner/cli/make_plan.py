@@ -15,13 +15,11 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from experiment_runner.executors.job import HubOptions
 from experiment_runner.executors.opening import recorded_plan
-from experiment_runner.executors.settings import HubOptions
-from experiment_runner.plan.extras import Summary, check_extras, parse_extras
 from experiment_runner.plan.file import parse_plan
-from experiment_runner.plan.ids import REMOTE
-from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE, PLAYERS, Backend
-from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE, PLAYERS, REMOTE, Backend
+from experiment_runner.plan.metrics import MetricsPlan, Summary, check_extras, parse_extras
 from experiment_runner.plan.plan import Plan, RoleSweep, absolute, budget, check_options, class_files
 from experiment_runner.plan.toml import naming_lines, read
 from experiment_runner.plan.user_files import with_digests

@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 from urllib.parse import urlsplit
 
 import click
 
 from experiment_runner.plan.limits import Backend
-from glue.cli.shared import prepare
+from glue.cli.shared import DIRECTORY, prepare
 from glue.errors import ConfigError, ExperimentError
 
 if TYPE_CHECKING:
     from experiment_runner.analysis.settings import Setting
-    from experiment_runner.executors.settings import RunConfig
+    from experiment_runner.executors.job import RunConfig
     from experiment_runner.view.server import Place
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -28,8 +27,6 @@ _WHERE = {
     Backend.SLURM: "as a job array of SLURM",
 }
 
-DIRECTORY: Final = click.Path(path_type=Path, file_okay=False)
-FILE: Final = click.Path(path_type=Path, dir_okay=False)
 RUN: Final = click.argument("directory", metavar="RUN", type=DIRECTORY)
 RUNS: Final = click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=DIRECTORY)
 """Decorators of a command that takes one run, or several."""
@@ -101,7 +98,7 @@ def check_backend(config: RunConfig) -> None:
 
 def check_address(backend: Backend, address: str | None) -> None:
     """Check the address of a cluster, as `check_backend`."""
-    from experiment_runner.executors.ray_cluster import parse_address
+    from experiment_runner.executors.workers import parse_address
 
     if address is not None:
         if backend is not Backend.RAY:
@@ -116,7 +113,7 @@ def naming_out(otherwise: str = "") -> Iterator[None]:
     Args:
         otherwise: another remedy, appended to the message.
     """
-    from experiment_runner.store.lock import DirectoryTaken
+    from experiment_runner.store.layout import DirectoryTaken
 
     try:
         yield

@@ -13,6 +13,7 @@ from experiment_runner.cli.options import naming_out
 from experiment_runner.plan.plan import Plan, check_options
 from experiment_runner.study.paper.experiments import ALL, EPISODES, EXPERIMENTS, SOAR, TRIALS, plan_of
 from glue import __version__
+from glue.cli.shared import DIRECTORY
 from glue.console import say
 from glue.plugins.loading import find
 from glue.wire.messages import Role
@@ -22,7 +23,7 @@ from glue.wire.messages import Role
 @click.argument("names", metavar="EXPERIMENT...", nargs=-1, type=click.Choice([*EXPERIMENTS, ALL, SOAR]))
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=DIRECTORY,
     default="runs/paper",
     show_default=True,
     help="Directory of the results: a run for each experiment, the tables and the figures. Existing runs "
@@ -107,9 +108,9 @@ def paper(
 
 def _run(directory: Path, plan: Plan, workers: int) -> int:
     """Run the remaining trials of a plan; return the number of trials that failed."""
+    from experiment_runner.executors.job import BOTH, Placement, RunConfig
     from experiment_runner.executors.opening import open_run
     from experiment_runner.executors.run import run_trials
-    from experiment_runner.executors.settings import BOTH, Placement, RunConfig
     from experiment_runner.report.progress import Progress
     from glue.cli.screen import has_color
 

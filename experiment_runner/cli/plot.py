@@ -101,22 +101,12 @@ def plot(
     """
     from experiment_runner.analysis.settings import REWARD, collect
     from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
-    from experiment_runner.report.plots import (
-        Layout,
-        comparison,
-        learning_curves,
-        metric_curves,
-        profiles,
-        save,
-        scatter,
-        step_curves,
-        step_window,
-    )
+    from experiment_runner.report import plots
     from experiment_runner.report.sketch import sketches
     from experiment_runner.report.tables import counted
-    from experiment_runner.store.extras import extra_columns
     from experiment_runner.store.records import MEASURES
     from experiment_runner.store.results import Results
+    from experiment_runner.store.run_data import extra_columns
 
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     if out is None and (kind != "curves" or over == "steps"):
@@ -143,39 +133,41 @@ def plot(
             )
             raise click.UsageError(f"there is no metric {metric}{near}")
         found = selected(collect(runs, measure, metric), select)
-    layout = Layout(title, size, columns or 0)
+    layout = plots.Layout(title, size, columns or 0)
     settings = [setting for setting in found if setting.curves().size]
     labels = {REWARD: "reward per step", **{name: known.label for name, known in MEASURES.items()}}
     rng, label = bootstrap_rng(), labels.get(measure, measure)
     last = window or 100
     totals = {(s.environment, s.agent): s.step_totals() for s in settings} if over == "steps" else {}
     if totals:
-        last = step_window(window or 0, totals.values())
+        last = plots.step_window(window or 0, totals.values())
     if metric:
         readings = {
             (s.environment, s.agent): [(m.steps, m.values) for m in s.metrics if m.steps.size] for s in found
         }
-        figure = metric_curves(readings, rng, metric, tolerance, layout)
+        figure = plots.metric_curves(readings, rng, metric, tolerance, layout)
     elif kind == "comparison":
         environments: dict[str, dict[str, FloatArray]] = defaultdict(dict)
         for setting in settings:
             environments[setting.environment][setting.agent] = setting.final(last, over)
         final = f"last {counted(last, over[:-1])}"
-        figure = comparison(environments, rng, final=final, label=label, layout=layout)
+        figure = plots.comparison(environments, rng, final=final, label=label, layout=layout)
     elif kind == "profile":
         reached = {(s.environment, s.agent): s.final(last, over) for s in settings}
-        figure = profiles(reached, label=label, layout=layout)
+        figure = plots.profiles(reached, label=label, layout=layout)
     elif totals:
-        figure = step_curves(totals, rng, window=last, label=label, tolerance=tolerance, layout=layout)
+        figure = plots.step_curves(totals, rng, window=last, label=label, tolerance=tolerance, layout=layout)
     elif kind == "curves":
         curves = {(s.environment, s.agent): s.curves() for s in settings}
         if out is None:
             click.echo(sketches(curves, last, measure, shutil.get_terminal_size().columns))
             return
-        figure = learning_curves(curves, rng, window=last, label=label, tolerance=tolerance, layout=layout)
+        figure = plots.learning_curves(
+            curves, rng, window=last, label=label, tolerance=tolerance, layout=layout
+        )
     else:
         named = {setting.label: setting.curves() for setting in settings}
-        figure = scatter(named, window=last, label=label, layout=layout)
+        figure = plots.scatter(named, window=last, label=label, layout=layout)
     assert out is not None
-    save(figure, out)
+    plots.save(figure, out)
     say(f"wrote {out}")

@@ -14,8 +14,6 @@ _COMMANDS: Final = {
     "results_shown": {
         "list": "List the runs in FOLDER (by default runs) and its subfolders.",
         "show": "Show the results of each RUN: a line for each setting, then failures and other events.",
-    },
-    "results_compared": {
         "compare": "Compare the agents of two runs over the trials that both have: A less B, "
         "in each environment.",
         "table": "Write the table of a paper: a row for each agent, a column for each environment "

@@ -15,22 +15,13 @@ from experiment_runner.cli.options import RUN, RUNS, naming_out, over_option
 from experiment_runner.loggers import LOGGERS
 from experiment_runner.plan.plan import TrialSpec, length_of
 from experiment_runner.report.tables import counted
+from experiment_runner.store import run_data
 from experiment_runner.store.database import reported
-from experiment_runner.store.export import (
-    Cell,
-    Table,
-    episode_table,
-    metric_table,
-    table_of,
-    write_csv,
-    write_json,
-    write_parquet,
-)
 from experiment_runner.store.layout import STREAMS, remove_run
 from experiment_runner.store.merge import merge as merge_runs
-from experiment_runner.store.output import written
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
+from glue.cli.shared import DIRECTORY, FILE
 from glue.console import did_you_mean, say
 from glue.errors import ConfigError, ExperimentError
 
@@ -40,9 +31,7 @@ from glue.errors import ConfigError, ExperimentError
 @click.option(
     "--format", "kind", type=click.Choice(["csv", "json", "parquet"]), default="csv", show_default=True
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), help="File. [default: standard output]"
-)
+@click.option("--out", type=FILE, help="File. [default: standard output]")
 @over_option
 @click.option(
     "--every",
@@ -69,33 +58,31 @@ def export(directory: Path, kind: str, out: Path | None, over: str, every: int |
         raise ConfigError("--every counts steps: add --over steps")
     with Results.open(directory) as found:
         if metrics:
-            table = metric_table(found)
+            table = run_data.metric_table(found)
         else:
-            table = episode_table(found) if over == "episodes" else _step_table(found, every)
+            table = run_data.episode_table(found) if over == "episodes" else _step_table(found, every)
         if kind == "parquet":
             if out is None:
                 raise ConfigError(
                     "Parquet is binary and cannot go to standard output: name a file with --out FILE"
                 )
-            write_parquet(table, out)
+            run_data.write_parquet(table, out)
             say(f"wrote {out}")
             return
-        write = write_csv if kind == "csv" else write_json
+        write = run_data.write_csv if kind == "csv" else run_data.write_json
         if out is None:
             with reported("cannot write the table"):
                 write(table, sys.stdout)
                 sys.stdout.flush()
             return
-        with written(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        with run_data.written(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             write(table, file)
     say(f"wrote {out}")
 
 
 @click.command()
 @RUNS
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Directory of the new run."
-)
+@click.option("--out", required=True, type=DIRECTORY, help="Directory of the new run.")
 def merge(directories: tuple[Path, ...], out: Path) -> None:
     """Merge runs into a new one; the originals stay unchanged.
 
@@ -128,11 +115,7 @@ def gather(directory: Path) -> None:
 @click.command()
 @RUN
 @click.option(
-    "--to",
-    "logger",
-    type=click.Choice([*LOGGERS]),
-    required=True,
-    help="The program that shows the results.",
+    "--to", "logger", type=click.Choice([*LOGGERS]), required=True, help="The program that shows the results."
 )
 @click.option(
     "--project",
@@ -166,7 +149,7 @@ def stream(directory: Path, logger: str, project: str) -> None:
     "--out",
     "-o",
     required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     metavar="FILE",
     help="File to write; an existing file is replaced.",
 )
@@ -186,7 +169,7 @@ def agent(directory: Path, trial_id: str | None, out: Path) -> None:
         if checkpoint is None:
             raise ExperimentError(_why_unsaved(found, trial))
     episode, saved = checkpoint
-    with written(out) as partial:
+    with run_data.written(out) as partial:
         partial.write_bytes(saved.agent)
     say(f"wrote {out}: the agent of {trial.spec.id} after {counted(episode, 'episode')}")
 
@@ -220,20 +203,20 @@ def remove(directories: tuple[Path, ...], yes: bool) -> None:
         )
 
 
-def _step_table(found: Results, every: int | None) -> Table:
+def _step_table(found: Results, every: int | None) -> run_data.Table:
     """Return the table of the mean return of the episodes under way, every `every` steps."""
     totals = {
         name: trial for setting in collect([found]) for name, trial in setting.totals_by_trial().items()
     }
     step = every or max(1, max((int(trial.steps[-1]) for trial in totals.values()), default=0) // 100)
 
-    def rows(spec: TrialSpec) -> Iterator[list[Cell]]:
+    def rows(spec: TrialSpec) -> Iterator[list[run_data.Cell]]:
         if (trial := totals.get(spec.id)) is not None:
             at = np.arange(step, trial.steps[-1] + 1, step)
             for end, value in zip(at, trial.mean(at, step), strict=True):
                 yield [int(end), float(value)]
 
-    return table_of(found, {"trial": str, "step": int, "return": float}, rows)
+    return run_data.table_of(found, {"trial": str, "step": int, "return": float}, rows)
 
 
 def _trial(found: Results, trial_id: str | None) -> TrialRecord:

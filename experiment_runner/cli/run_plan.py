@@ -18,10 +18,10 @@ from typing import Final, TextIO
 import click
 
 from experiment_runner.cli.options import naming_out
+from experiment_runner.executors.job import HubOptions, RunConfig
 from experiment_runner.executors.opening import FINISH, finished_at, kept_if_begun, open_run, remaining
 from experiment_runner.executors.recording import recorded
 from experiment_runner.executors.run import run_trials
-from experiment_runner.executors.settings import HubOptions, RunConfig
 from experiment_runner.plan.limits import PLAYERS
 from experiment_runner.plan.plan import Plan, class_files
 from experiment_runner.report.overview import date

@@ -10,8 +10,10 @@ from typing import Final
 
 import click
 
-from experiment_runner.cli.options import DIRECTORY, place_of
+from experiment_runner.cli.options import place_of
+from experiment_runner.cli.season_options import page_options
 from experiment_runner.view.launch import check_view
+from glue.cli.shared import DIRECTORY
 from glue.console import say
 from glue.errors import ConfigError
 
@@ -29,24 +31,10 @@ _ADDRESS: Final = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([^\s:/]+)):(\d{1,5})")
     metavar="HOST:PORT",
     help="Address of this machine to listen at; port 0 for any that is free.",
 )
-@click.option(
-    "--proxy",
-    default="",
-    metavar="URL",
-    help="Address at which browsers find the page behind a proxy on this machine: https://lab.example/season",
-)
-@click.option(
-    "--insecure",
-    is_flag=True,
-    help="Allow an address that other machines can reach: nothing is encrypted, not even tokens.",
-)
-@click.option(
-    "--publish",
-    type=DIRECTORY,
-    metavar="DIR",
-    help="Folder into which the public page is written every minute, as files for any web server.",
-)
-def page(directory: Path, address: str, proxy: str, insecure: bool, publish: Path | None) -> None:
+@page_options
+def page(
+    directory: Path, address: str, proxy: str, insecure: bool, publish: Path | None, log_format: str
+) -> None:
     """Show the season in DIR on a page that is open to all; `serve` does so, too.
 
     The page also shows a season that is over, and what a server that does not run has left.

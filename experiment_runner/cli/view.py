@@ -15,6 +15,7 @@ import click
 from experiment_runner.cli.options import place_of
 from experiment_runner.view.launch import check_view
 from glue import __version__
+from glue.cli.shared import DIRECTORY
 from glue.errors import ConfigError
 
 _LOOPBACK: Final = "127.0.0.1"
@@ -23,7 +24,7 @@ _NICENESS: Final = 10
 
 
 @click.command("glue-view")
-@click.argument("directories", metavar="[DIR]...", nargs=-1, type=click.Path(path_type=Path, file_okay=False))
+@click.argument("directories", metavar="[DIR]...", nargs=-1, type=DIRECTORY)
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),

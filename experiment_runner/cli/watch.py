@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from glue import __version__
+from glue.cli.shared import FILE
 from glue.console import say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--load",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=FILE,
     help="Start from an agent saved by `glue-results agent`, including its random generator.",
 )
 @click.option("--episodes", type=click.IntRange(1), default=1, show_default=True, help="Episodes to show.")
@@ -63,11 +64,7 @@ if TYPE_CHECKING:
     help="Episodes to play first, without showing them.",
 )
 @click.option(
-    "--max-steps",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    help="Step limit; 0 for none.",
+    "--max-steps", type=click.IntRange(0), default=0, show_default=True, help="Step limit; 0 for none."
 )
 @click.option(
     "--speed",
@@ -81,11 +78,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Draw the agent's plan too, if it has one: its answer to the message `marks`.",
 )
-@click.option(
-    "--gif",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Also write an animated GIF of the shown episodes.",
-)
+@click.option("--gif", type=FILE, help="Also write an animated GIF of the shown episodes.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Random seed.")
 @click.version_option(__version__, prog_name="glue-watch")
 def watch(

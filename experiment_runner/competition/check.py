@@ -17,8 +17,7 @@ from experiment_runner.competition.trials import public_trial
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.store.database import reported
-from experiment_runner.store.layout import write_flushed
-from experiment_runner.store.lock import LOCK_FILE, RunLock
+from experiment_runner.store.layout import LOCK_FILE, RunLock, write_flushed
 from experiment_runner.store.records import EpisodeResult
 from glue.errors import ConfigError, ExperimentError
 from glue.files import open_regular
@@ -138,7 +137,7 @@ def tried(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], 
 
 
 def in_words(used: Used, limits: Limits) -> str:
-    """Return what an entrant has used, as a line for its owner."""
+    """Return the resource usage of an entrant as a line for its owner."""
     parts = []
     if used.processor is not None:
         parts.append(f"{used.processor:.2f} s of processors")

@@ -13,8 +13,9 @@ import errno
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import ExitStack, suppress
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, Final, TypeVar
@@ -29,7 +30,7 @@ from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starters import SOCKET, Launch, Running, Starter
 from experiment_runner.competition.usage import ControlGroup
-from experiment_runner.processes.watchdog import spawn
+from experiment_runner.processes.children import spawn
 from experiment_runner.store.layout import write_flushed
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
@@ -133,6 +134,27 @@ class Containers(Starter):
         except (APIError, ImageNotFound, ValueError) as error:
             raise ConfigError(f"the engine does not take it for an image: {_in_short(error)}") from None
         return str(image.id)
+
+    def tidy(self, repository: str, needed: Collection[str], until: datetime) -> None:
+        """Remove images that were loaded, under this name and until then, and are not needed.
+
+        Raises:
+            ConfigError: there is no engine.
+            ExperimentError: the engine cannot remove them.
+        """
+        engine = self._engine
+
+        def remove() -> None:
+            for image in engine.images.list(name=repository):
+                loaded = image.attrs.get("Metadata", {}).get("LastTagTime")
+                if image.id in needed or not loaded or datetime.fromisoformat(loaded) > until:
+                    continue
+                for tag in (tag for tag in image.tags if tag.startswith(f"{repository}:")):
+                    with suppress(ImageNotFound):
+                        engine.images.remove(tag)
+
+        with suppress(APIError):  # a container still has it: another time
+            _ask("remove images", remove)
 
     def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Running:
         """Start the image in a jail of its own.

@@ -20,7 +20,7 @@ from experiment_runner.competition.settings import (
     load_competition,
 )
 from experiment_runner.competition.trials import attempt_trials, levels, trials
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.results import Results
@@ -85,6 +85,27 @@ class Course:
             elif one.act == journal.READMIT:
                 found.pop(one.subject, None)
         return found
+
+    @property
+    def paused(self) -> Mapping[str, str]:
+        """The reason why no trial of an entrant, or of `EVERYBODY`, is started, outside of a season."""
+        found: dict[str, str] = {}
+        for one in self.acts:
+            if one.act == journal.PAUSE:
+                found[one.subject] = one.reason
+            elif one.act == journal.RESUME:
+                found.pop(one.subject, None)
+            elif one.act == journal.CLOSE:
+                found.clear()
+        return found
+
+    @property
+    def images(self) -> set[str]:
+        """The ids with which somebody may still play: those of the entrants and, while the season is not
+        closed, all that have played, as any attempt can be run again.
+        """
+        played = [one for one in self.acts if one.act == journal.START] if self.in_season else []
+        return {one.id for one in (*self.entrants.values(), *played)}
 
     @property
     def reruns(self) -> Mapping[TrialId, TrialId]:

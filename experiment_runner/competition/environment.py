@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
-from experiment_runner.executors.recording import run_of
+from experiment_runner.competition.records.replay import recorded_run
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import EpisodeResult
 from glue.engine.calls import role_calls
@@ -46,7 +46,7 @@ class RecordedEnvironment(Environment):
         failure: the environment's own error; None if there was none.
         steps: number of steps carried out.
         episodes: number of episodes played to their end.
-        num_late: returns the number of the agent's late actions in the current episode.
+        num_late: returns the number of late actions in the current episode so far.
 
     Raises:
         PeerFailed: a method of the role is missing.
@@ -71,6 +71,7 @@ class RecordedEnvironment(Environment):
         self._ended = ended
         self._in_episode = False
         self._return = 0.0
+        self._late = 0
         self._bytes = 0
         self._bytes_before = 0
         self._first_step = 0
@@ -81,7 +82,7 @@ class RecordedEnvironment(Environment):
         """Initialise the environment, and begin the record."""
         with self._blaming():
             _, task_spec = self._calls[Kind.ENV_INIT]((), None)
-            self._record.run(run_of(self._spec, task_spec))
+            self._record.run(recorded_run(self._spec, task_spec))
             with suppress(TaskSpecError):
                 self._actions = parse_task_spec(task_spec).actions
         return str(task_spec)
@@ -92,7 +93,7 @@ class RecordedEnvironment(Environment):
             _, observation = self._calls[Kind.ENV_START]((), None)
             self._record.start()
         self._in_episode = True
-        self._return, self._first_step, self._bytes_before = 0.0, self.steps, self._bytes
+        self._return, self._late, self._first_step, self._bytes_before = 0.0, 0, self.steps, self._bytes
         self._began = time.perf_counter()
         assert isinstance(observation, Observation)
         return observation
@@ -130,15 +131,15 @@ class RecordedEnvironment(Environment):
             # RL_num_steps counts observations, of which a terminal step has none.
             steps = self.steps - self._first_step + (not terminal)
             seconds = time.perf_counter() - self._began
-            late = self.num_late()
-            self._ended(EpisodeResult(self.episodes, self._return, steps, terminal, seconds, late))
+            self._ended(EpisodeResult(self.episodes, self._return, steps, terminal, seconds, self._late))
 
     def _record_step(self, body: bytes, reward: float) -> None:
         self._bytes += len(body)
         if self._bytes > _MOST_ACTIONS:
             raise _TooMuch(f"its actions take more than {_MOST_ACTIONS >> 20} MiB in this trial")
         try:
-            self._record.step(body, reward)
+            before, self._late = self._late, self.num_late()
+            self._record.step(body, reward, late=self._late > before)
         except LocalProtocolError as error:  # a limit of the recording
             if self._bytes - self._bytes_before > MAX_EPISODE // 2:
                 raise _TooMuch(f"its actions take more than {MAX_EPISODE >> 20} MiB in an episode") from None

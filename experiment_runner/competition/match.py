@@ -33,6 +33,7 @@ from glue.console import one_line
 from glue.errors import ExperimentError, GlueError, HubClosed, PeerFailed, PeerLost
 from glue.hub.config import DEFAULT_SESSION, Bind, HubConfig
 from glue.hub.io.inside import InsideTransport
+from glue.hub.io.listener import open_address
 from glue.hub.io.server import Hub
 from glue.options import build
 from glue.plugins.loading import find
@@ -74,6 +75,7 @@ class Match:
         log: the file for the output of the entrant.
         run: identifies the run, see `Launch`.
         gate: where entrants from elsewhere connect; None if there is none.
+        absent: why the entrant is not waited for, and forfeits at once; empty if it is.
     """
 
     spec: TrialSpec
@@ -83,6 +85,7 @@ class Match:
     log: Path
     run: str
     gate: Gate | None = None
+    absent: str = ""
 
 
 class Piece(NamedTuple):
@@ -92,7 +95,7 @@ class Piece(NamedTuple):
 
 
 class Used(NamedTuple):
-    """What the entrant has used; None for what is unknown, as for a program on another machine.
+    """The resource usage of an entrant; None where it is unknown, as for a program on another machine.
 
     `processor` is in seconds, `peak` in bytes of memory; `bank` has the seconds left, which never grow.
     """
@@ -169,20 +172,25 @@ class _Playing:
     def play(self, starter: Starter) -> str | None:
         """Play; return why the entrant forfeits, or None."""
         match = self._match
+        if match.absent:
+            self._record.close()
+            return match.absent
         # A program in a folder is not told its session, so it gets the default; this hub has no other.
         session = match.entrant.name if match.entrant.folder is None else DEFAULT_SESSION
         with ExitStack() as stack:
             launch = self._launch(stack.enter_context(scratch_folder()), session)
+            opened = {}
             if match.entrant.key is None:
                 bind = Bind(launch.hub, frozenset({Role.AGENT}), frozenset({session}))
             else:
                 bind = gate_for(match.entrant, match.gate)
+                opened[bind.url] = stack.enter_context(open_address(bind.url, reserved=True))
             config = HubConfig(
                 bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits, pace=match.spec.pace
             )
             with ExitStack() as joined:
                 hub = joined.enter_context(
-                    Hub(config, clock=self._clock, processor=self._processor).in_background()
+                    Hub(config, opened=opened, clock=self._clock, processor=self._processor).in_background()
                 )
                 self._environment.num_late = partial(hub.sessions.num_late, session)
                 transport = InsideTransport(hub, {Role.ENVIRONMENT: self._environment}, session)

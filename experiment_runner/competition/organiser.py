@@ -15,15 +15,17 @@ checkpoint: the entrant's learning was lost with its process.
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from datetime import datetime
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Piece
-from experiment_runner.competition.records.journal import ENTER, Act, act, text_of
+from experiment_runner.competition.records.journal import ENTER, EVERYBODY, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
 from experiment_runner.competition.records.seal import (
     add_trials,
@@ -39,6 +41,7 @@ from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Recorded
 from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.plan.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
@@ -47,8 +50,10 @@ from experiment_runner.store.records import TrialEnd
 from experiment_runner.store.store import Store
 from glue.closing import Closing
 from glue.errors import ConfigError, ExperimentError
+from glue.hub.io.listener import reserve
 
 _FOR_ITS_OWNER: Final = 0o700
+_IDLE_SECONDS: Final = 0.5
 
 Say = Callable[[str], None]
 
@@ -78,7 +83,8 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
         course = course_of(directory)
     else:
         levels(competition, secret)  # a mistake in a task is found before an engine is asked for anything
-        acts = admissions(competition, competition.entrants, ENTER, "in the file at the start")
+        hidden = None if competition.season is None else secret
+        acts = admissions(competition, competition.entrants, ENTER, "in the file at the start", secret=hidden)
         course = Course(competition, acts)
     specs = course.specs(course.admitted(competition), secret)
     with reported(f"cannot write to {directory}"):
@@ -94,13 +100,7 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
             directory.chmod(_FOR_ITS_OWNER)
         seal(store)
         check_seal(store)
-        recorded = [record.spec for record in store.trials()]
-        known = {spec.id: spec for spec in recorded}
-        new = [spec for spec in specs if spec.id not in known]
-        if {spec.id: spec for spec in specs if spec.id in known} != known or any(map(course.planned, new)):
-            why = _difference(recorded, specs)
-            raise ExperimentError(f"{directory} is the run of another competition: {why}")
-        if new:
+        if new := _missing(store, course, specs):
             add_trials(store, new)
         if changes := course.changes(competition):
             record_acts(store, changes)
@@ -109,18 +109,49 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
     return store
 
 
+def _missing(store: Store, course: Course, specs: Sequence[TrialSpec]) -> list[TrialSpec]:
+    """Return those of the trials that a run does not have yet, as an act of its organiser calls for them.
+
+    Raises:
+        ExperimentError: the run is of another competition.
+    """
+    recorded = [record.spec for record in store.trials()]
+    known = {spec.id: spec for spec in recorded}
+    new = [spec for spec in specs if spec.id not in known]
+    if {spec.id: spec for spec in specs if spec.id in known} != known or any(map(course.planned, new)):
+        why = _difference(recorded, specs)
+        raise ExperimentError(f"{store.directory} is the run of another competition: {why}")
+    return new
+
+
 def admissions(
-    competition: Competition, entrants: Iterable[Entrant], kind: str, reason: str, now: datetime | None = None
+    competition: Competition,
+    entrants: Iterable[Entrant],
+    kind: str,
+    reason: str,
+    *,
+    secret: bytes | None,
+    taken: Iterable[str] = (),
 ) -> list[Act]:
     """Return the acts of admitting entrants, once each can be started.
 
+    Args:
+        competition: has the limits.
+        entrants: that are admitted.
+        kind, reason: of the acts.
+        secret: determines their pseudonyms; None if they get none.
+        taken: pseudonyms of others.
+
     Raises:
-        ConfigError: one cannot; the message names it.
+        ConfigError: one cannot be started; the message names it.
     """
-    return [
-        act(kind, one.name, reason, now=now, player=one.player, id=check(one, competition.limits))
-        for one in entrants
-    ]
+    acts, aliases = [], {*taken}
+    for one in entrants:
+        alias = "" if secret is None else pseudonym(one.name, secret, aliases)
+        aliases.add(alias)
+        identity = check(one, competition.limits)
+        acts.append(act(kind, one.name, reason, player=one.player, id=identity, alias=alias))
+    return acts
 
 
 def check(entrant: Entrant, limits: Limits) -> str:
@@ -152,7 +183,15 @@ def matches(
     return made
 
 
-def hold(store: Store, competition: Competition, workers: int, say: Say, gate: Gate | None = None) -> int:
+def hold(
+    store: Store,
+    competition: Competition,
+    secret: bytes,
+    workers: int,
+    say: Say,
+    gate: Gate | None = None,
+    visit: Callable[[Held, float], None] = lambda held, seconds: time.sleep(seconds),
+) -> int:
     """Play every trial that is not over; return the number of trials that have failed.
 
     A trial fails if the environment or this machine does, which is not its entrant's fault; it is played
@@ -161,35 +200,27 @@ def hold(store: Store, competition: Competition, workers: int, say: Say, gate: G
     Args:
         store: of the run.
         competition: the competition.
+        secret: the secret seed.
         workers: number of trials played at once.
         say: shows a line.
         gate: where entrants from elsewhere connect; None if there are none.
+        visit: called again and again meanwhile; may wait for the seconds that it is given, and record acts.
 
     Raises:
         ConfigError: an entrant cannot be started.
         StorageError: the run cannot be written to.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
-    course = course_of(store.directory)
-    if course.in_season:
-        raise ExperimentError(
-            f"the season is not over: glue-compete serve goes on with it, and glue-compete close "
-            f"{store.directory} ends it"
-        )
-    competition = course.admitted(competition)
-    wanted = set(course.trials)
-    over = wanted & store.outcomes().keys()
-    left = [record.spec for record in store.trials() if record.spec.id in wanted - over]
-    waiting = matches(competition, left, store.directory, gate)
-    if waiting:
-        for match in {match.entrant.name: match for match in waiting}.values():
-            check(match.entrant, match.limits)
-            if match.entrant.key is not None:
-                gate_for(match.entrant, match.gate)
-            starter_for(match.entrant).sweep(match.run)
+    with ExitStack() as stack:
+        held = stack.enter_context(Held(store, competition, secret, say, gate))
+        interrupts = stack.enter_context(Interrupts())
         executor = LocalExecutor(workers, MODULE, REPORTS, warm=[task.env for task in competition.tasks])
-        with _Held(store, waiting, len(over), say) as played, Interrupts() as interrupts:
-            Dispatcher(executor, played, interrupts).run(match.spec.id for match in waiting)
+        dispatcher = Dispatcher(executor, held, interrupts)
+        held.begin(dispatcher)
+        if gate is not None and held.matches:
+            stack.enter_context(reserve(gate.bind))
+        dispatcher.run((), lambda: visit(held, 0 if dispatcher.running else _IDLE_SECONDS))
+    wanted = set(held.course.trials)
     return sum(record.failure is not None for record in store.trials() if record.spec.id in wanted)
 
 
@@ -210,6 +241,30 @@ class Matches(Closing):
         self._say = say
         self._records: dict[str, RecordFile] = {}
         self._forfeits: dict[str, str] = {}
+        self._dispatcher: Dispatcher | None = None
+
+    @property
+    def dispatcher(self) -> Dispatcher:
+        """The dispatcher of the jobs, once they may begin."""
+        assert self._dispatcher is not None
+        return self._dispatcher
+
+    def begin(self, dispatcher: Dispatcher) -> None:
+        """Take the dispatcher of the jobs."""
+        self._dispatcher = dispatcher
+
+    def play(self, match: Match) -> None:
+        """Let a match wait for its start."""
+        self.matches[match.spec.id] = match
+        self.dispatcher.add(match.spec.id)
+
+    def forget(self, trial_id: str) -> None:
+        """End a match at once, and forget it."""
+        self.dispatcher.cancel(trial_id)
+        self.matches.pop(trial_id, None)
+        self._forfeits.pop(trial_id, None)
+        if trial_id in self._records:
+            self._records.pop(trial_id).close()
 
     def close(self) -> None:
         """Close the records of matches in progress."""
@@ -267,17 +322,85 @@ class Matches(Closing):
         return outcome
 
 
-class _Held(Matches):
-    """The matches of a competition that is held at once, of which `over` are over."""
+class Held(Matches):
+    """The matches of a competition that is held at once, in which its organiser may act meanwhile.
 
-    def __init__(self, store: Store, matches: Iterable[Match], over: int, say: Say) -> None:
+    Args:
+        store, competition, secret, say, gate: as of `hold`.
+
+    Attributes:
+        course: of the competition, so far.
+        over: ids of the trials that are over, of those that are to be played.
+    """
+
+    def __init__(
+        self, store: Store, competition: Competition, secret: bytes, say: Say, gate: Gate | None
+    ) -> None:
         super().__init__(store, say)
-        self.matches = {match.spec.id: match for match in matches}
-        self._over = over
-        self._total = over + len(self.matches)
+        self.course = course_of(store.directory)
+        self._competition = competition
+        self._secret = secret
+        self._gate = gate
+        self._paused: Mapping[str, str] = {}
+        self.over: set[TrialId] = set()
+        if self.course.in_season:
+            raise ExperimentError(
+                f"the season is not over: glue-compete serve goes on with it, and glue-compete close "
+                f"{store.directory} ends it"
+            )
+
+    def begin(self, dispatcher: Dispatcher) -> None:
+        """Let everything wait that is not over, once its entrants can be started."""
+        super().begin(dispatcher)
+        self._plan()
+        for match in {match.entrant.name: match for match in self.matches.values()}.values():
+            check(match.entrant, match.limits)
+            if match.entrant.key is not None:
+                gate_for(match.entrant, match.gate)
+            starter_for(match.entrant).sweep(match.run)
+        for who, why in self._paused.items():
+            self._say(f"{who} is paused: {why}; glue-compete resume {self._store.directory} ends that")
+
+    def record(self, acts: Sequence[Act], given: Competition | None = None) -> None:
+        """Write acts to the journal, and carry them out.
+
+        Args:
+            acts: of the organiser.
+            given: has the entrants that are added; None if there are none.
+
+        Raises:
+            ExperimentError: its levels were changed, or the run cannot be written to.
+        """
+        course, competition = Course(self.course.competition, [*self.course.acts, *acts]), self._competition
+        if given is not None:
+            added = [one for one in given.entrants if one.name not in self.course.entrants]
+            competition = replace(competition, entrants=(*competition.entrants, *added))
+        new = _missing(self._store, course, course.specs(course.admitted(competition), self._secret))
+        record_acts(self._store, acts)
+        if new:
+            add_trials(self._store, new)
+        self.course, self._competition = course, competition
+        for one in acts:
+            self._say(one.line)
+        self._plan()
+
+    def _plan(self) -> None:
+        """Let everything wait that is to be played, and end what no longer is."""
+        wanted = set(self.course.trials)
+        self.over = wanted & self._store.outcomes().keys()
+        self._paused = self.course.paused
+        for trial_id in self.matches.keys() - wanted:
+            self.forget(trial_id)
+        left = wanted - self.over - self.matches.keys()
+        specs = [record.spec for record in self._store.trials() if record.spec.id in left]
+        competition = self.course.admitted(self._competition)
+        for match in matches(competition, specs, self._store.directory, self._gate):
+            self.play(match)
 
     def may_start(self, trial_id: str, running: Collection[str]) -> bool:
         """Return whether a match may start: entrants that join at the same address play one at a time."""
+        if not self._paused.keys().isdisjoint((EVERYBODY, TrialId(trial_id).parts[0])):
+            return False
         joins = self._joins_from_elsewhere
         return not (joins(trial_id) and any(map(joins, running)))
 
@@ -291,13 +414,13 @@ class _Held(Matches):
         if failure is not None:
             self._say(f"{trial_id} has failed, and is played again when the run is continued: {failure}")
             return
-        self._over += 1
+        self.over.add(TrialId(trial_id))
         if reason is None:
             totals = self._store.totals(trial_id)
             how = f"{totals.sum_of_returns:.10g} in {totals.episodes} episodes"
         else:
             how = f"forfeited: {reason}"
-        self._say(f"[{self._over}/{self._total}] {trial_id}: {how}")
+        self._say(f"[{len(self.over)}/{len(self.course.trials)}] {trial_id}: {how}")
 
 
 def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> str:

@@ -12,7 +12,7 @@ import sys
 from contextlib import suppress
 from typing import Final
 
-from experiment_runner.processes.watchdog import watch_parent
+from experiment_runner.processes.children import watch_parent
 
 MODULE: Final = "experiment_runner.competition.remover"
 

@@ -23,8 +23,7 @@ from typing import Final
 
 from experiment_runner.competition.settings import Entrant, Gate, Limits
 from experiment_runner.competition.supervisor import CANNOT_START, MODULE
-from experiment_runner.processes.children import how_it_ended
-from experiment_runner.processes.watchdog import spawn
+from experiment_runner.processes.children import how_it_ended, spawn
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import write_flushed
 from glue.errors import ConfigError, ExperimentError

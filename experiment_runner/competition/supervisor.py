@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from experiment_runner.processes.watchdog import watch_parent
+from experiment_runner.processes.children import watch_parent
 from glue.files import create_regular
 
 MODULE: Final = "experiment_runner.competition.supervisor"

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from experiment_runner.competition.records.journal import Act
 from experiment_runner.competition.settings import Competition, Season, Task
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.plan.user_files import with_digests
 from experiment_runner.store.database import reported
@@ -109,7 +109,7 @@ def draw(secret: bytes, *names: str) -> int:
 
 
 class Level(NamedTuple):
-    """What a trial of a task has whoever plays it.
+    """The part of a trial of a task that is the same for all entrants.
 
     task, number  of the trial; number from 0
     environment   with the options that were drawn

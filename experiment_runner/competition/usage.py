@@ -1,4 +1,4 @@
-"""What the programs of a container use of processors and memory, as the kernel counts it by control group."""
+"""The processor time and memory that the programs of a container use, as the kernel counts them."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ A job belongs to one trial of a run: an experiment's trial, or a match of a comp
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager
 from typing import Any, Final, Protocol
 
@@ -99,8 +99,12 @@ class Dispatcher:
         self._losses: dict[str, tuple[int, int]] = {}
         """The progress of each lost trial, and the number of its losses without further progress."""
 
-    def run(self, trial_ids: Iterable[str]) -> None:
+    def run(self, trial_ids: Iterable[str], between: Callable[[], None] = lambda: None) -> None:
         """Run trials, as many at a time as the executor takes.
+
+        Args:
+            trial_ids: of the trials, after those that wait already.
+            between: called again and again meanwhile; may add trials.
 
         Raises:
             StorageError: a report cannot be stored.
@@ -110,7 +114,7 @@ class Dispatcher:
         self._waiting.extend(trial_ids)
         with self._executor, self._interrupts.deferred():
             while self.turn(_WAIT_SECONDS):
-                pass
+                between()
 
     def add(self, trial_id: str) -> None:
         """Let a trial wait for its start."""
@@ -118,6 +122,7 @@ class Dispatcher:
 
     def cancel(self, trial_id: str) -> None:
         """Forget a trial that waits or runs."""
+        self._losses.pop(trial_id, None)
         if trial_id in self.running:
             self.running.remove(trial_id)
             self._executor.cancel(trial_id)

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Self
 
 import glue.system.forks  # noqa: F401  # for the handlers that are set here
-from experiment_runner.executors.settings import GRACE_SECONDS
+from experiment_runner.executors.job import GRACE_SECONDS
 
 
 class Terminated(KeyboardInterrupt):

@@ -23,19 +23,9 @@ from experiment_runner.plan.limits import BUDGETS
 from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, TrialSpec, absolute, differences
 from experiment_runner.plan.provenance import about, program
 from experiment_runner.plan.user_files import UserFile, changed_files, user_files
+from experiment_runner.store import layout
 from experiment_runner.store.database import holds_run, reported
-from experiment_runner.store.layout import (
-    ABOUT_FILE,
-    COMPETITION_FILE,
-    PLAN_FILE,
-    SOURCES,
-    is_part,
-    parts_of,
-    read_about,
-    remove_run,
-    replace_flushed,
-)
-from experiment_runner.store.lock import DirectoryTaken
+from experiment_runner.store.layout import DirectoryTaken
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError, HubUnreachable, Refused
@@ -119,14 +109,14 @@ def open_run(
         return _create(directory, run, sources, clock)
     store = Store.open(directory, clock=clock)
     try:
-        if parts_of(directory):
+        if layout.parts_of(directory):
             raise ExperimentError(
                 f"tasks of a job array have trials of {directory}: when they are over, "
                 f"glue-results gather {directory}"
             )
         if changed := changed_files(_recorded_files(directory), sources):
             found = [f"{file} has changed since" for file in changed]
-            raise OtherRun(directory, f"was begun with files of which {SOURCES} has copies", found)
+            raise OtherRun(directory, f"was begun with files of which {layout.SOURCES} has copies", found)
         run.check(store)
         store.record_event("resume", program())
         for record in store.trials():
@@ -150,10 +140,10 @@ def _create(
     for path, (sha256, content) in sources.items():
         found["files"][path] = {"sha256": sha256}
         if content is not None:
-            name = f"{SOURCES}/{sha256[:12]}-{Path(path).name}"
+            name = f"{layout.SOURCES}/{sha256[:12]}-{Path(path).name}"
             found["files"][path]["copy"] = name
             contents[name] = content
-    contents[ABOUT_FILE] = json.dumps(found, indent=2) + "\n"
+    contents[layout.ABOUT_FILE] = json.dumps(found, indent=2) + "\n"
     store = Store.create(directory, run.specs, contents, clock=clock)
     store.record_event("start", found["program"])
     return store
@@ -163,7 +153,7 @@ def _defined_by(plan: Plan, say: Callable[[str], None]) -> Definition:
     def check(store: Store) -> None:
         """Check that a run has this plan, or extend it if the plan is longer."""
         recorded = recorded_plan(store.directory)
-        path = store.directory / PLAN_FILE
+        path = store.directory / layout.PLAN_FILE
         if not _extends([trial.spec for trial in store.trials()], recorded.expand()):
             raise ExperimentError(f"{path} was changed after its run began: put it back")
         counts = {
@@ -178,11 +168,13 @@ def _defined_by(plan: Plan, say: Callable[[str], None]) -> Definition:
         if longer != recorded:
             say(f"{store.directory} is extended: {'; '.join(differences(recorded, longer))}")
             # Before the trials, so that a process killed in between leaves a plan that extends them.
-            replace_flushed(path, dump_plan(longer))
-        if not is_part(store.directory):  # the plan has trials of other parts, too
+            layout.replace_flushed(path, dump_plan(longer))
+        if not layout.is_part(store.directory):  # the plan has trials of other parts, too
             lengthen(store, longer.expand(), say)
 
-    return Definition(plan.expand(), {PLAN_FILE: dump_plan(plan)}, [*plan.agents, *plan.environments], check)
+    return Definition(
+        plan.expand(), {layout.PLAN_FILE: dump_plan(plan)}, [*plan.agents, *plan.environments], check
+    )
 
 
 @contextmanager
@@ -206,7 +198,7 @@ def kept_if_begun(directory: Path, kept: Callable[[], None]) -> Iterator[None]:
             if begun or was_there:
                 kept()
             else:
-                remove_run(directory)
+                layout.remove_run(directory)
                 if had_folder:
                     directory.mkdir(exist_ok=True)
         raise
@@ -221,8 +213,8 @@ def recorded_plan(directory: Path) -> Plan:
     with reported(f"cannot open {directory}"):
         if not holds_run(directory):
             raise ExperimentError(f"{directory} holds no run")
-    path = directory / PLAN_FILE
-    if (directory / COMPETITION_FILE).exists():
+    path = directory / layout.PLAN_FILE
+    if (directory / layout.COMPETITION_FILE).exists():
         raise ExperimentError(f"{directory} is a competition, which glue-compete run continues")
     if not path.exists():
         raise ExperimentError(f"{directory} was merged from other runs: continue those")
@@ -286,7 +278,7 @@ def _extends(stored: Sequence[TrialSpec], planned: Sequence[TrialSpec]) -> bool:
 
 def _recorded_files(directory: Path) -> dict[str, str]:
     """Return path and SHA-256 of each user file with which a run, possibly merged, was begun."""
-    about = read_about(directory)
+    about = layout.read_about(directory)
     found = {}
     for one in (about, *merged.values()) if isinstance(merged := about.get("merged"), dict) else (about,):
         files = one.get("files") if isinstance(one, dict) else None

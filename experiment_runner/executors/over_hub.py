@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Final
 
 from experiment_runner.executors import player_command
-from experiment_runner.executors.job import AtHub, Joined, Line, Report
+from experiment_runner.executors.job import AtHub, HubOptions, Joined, Line, Placement, Report
 from experiment_runner.executors.players import players_inside
-from experiment_runner.executors.settings import HubOptions, Placement
 from experiment_runner.plan.plan import Plan, TrialSpec
 from experiment_runner.processes.children import KeptAlive, Say
 from experiment_runner.processes.scratch import SOCKET, scratch_folder
@@ -114,18 +113,14 @@ def over_hub(
             url = options.hub
             show_missing = hints(say, url, session, named.keys())
             glue = connect(
-                url,
-                session,
-                key=options.key,
-                hub_key=options.hub_key,
-                wait=options.wait,
-                on_notice=notice,
+                url, session, key=options.key, hub_key=options.hub_key, wait=options.wait, on_notice=notice
             )
         else:
             hub, url, show_missing = _start_hub(stack, placement, expected, named.keys(), spec.pace, say)
-            steps, late = (partial(f, session) for f in (hub.sessions.num_steps, hub.sessions.num_late))
             transport = InsideTransport(hub, inside, session)
-            glue = connect_over(transport, session, on_notice=notice, num_steps=steps, num_late=late)
+            glue = connect_over(
+                transport, session, on_notice=notice, num_steps=partial(hub.sessions.num_steps, session)
+            )
         stack.enter_context(glue)
         if options.key is None:  # observers would need a key
             send(AtHub(url, session))

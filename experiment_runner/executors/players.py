@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
-from experiment_runner.executors.job import Report
+from experiment_runner.executors.job import Placement, Report
 from experiment_runner.executors.rewards import FiniteRewards
-from experiment_runner.executors.settings import Placement
 from experiment_runner.plan.plan import TrialSpec
 from glue.engine.checking import CheckedActions
 from glue.engine.experiment import Experiment

@@ -11,18 +11,83 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from experiment_runner.executors.extras import Extras
 from experiment_runner.executors.job import BEGINNING, Start
-from experiment_runner.plan.metrics import ALL, Keep, MetricsPlan
+from experiment_runner.plan.metrics import ALL, SUMMARIES, Keep, MetricsPlan, Summary, extra_of
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.readings import Part, pack_parts, unpack_parts
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult, Reading, ask
 from glue.engine.engine import role_seed
 from glue.engine.experiment import Experiment, steps
-from glue.errors import GlueError, PeerLost, Unsupported
+from glue.errors import ExperimentError, GlueError, PeerLost, Unsupported
 from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
 from glue.types import Observation
 from glue.wire.messages import Role
+
+
+class Extras:
+    """Reader of an environment's extras, which gives a number for each in an episode.
+
+    Args:
+        plan: the summary of each extra; see `experiment_runner.plan.metrics`.
+        label: the environment's.
+    """
+
+    def __init__(self, plan: Mapping[str, Summary], label: str) -> None:
+        self._label = label
+        self._summaries = {extra_of(key, label): how for key, how in plan.items()}
+        self._values: dict[str, dict[str, float]] = {}  # each summary so far, and the count
+        self._found: set[str] = set()  # those that have been numbers
+
+    def begin(self) -> None:
+        """Begin an episode."""
+        self._values = {}
+
+    def see(self, observation: Observation) -> None:
+        """Take the extras of the episode's next observation.
+
+        Raises:
+            ExperimentError: one of the plan is a text, bytes or an array, and never was a number.
+        """
+        for given, value in observation.extras.items():
+            name = extra_of(given, self._label)  # an environment may also put its own name before an extra's
+            if name not in self._summaries:
+                continue
+            if isinstance(value, int | float):
+                self._found.add(name)
+                self._values[name] = _with(float(value), self._values.get(name))
+            elif name not in self._found:
+                numbers = [key for key, one in observation.extras.items() if isinstance(one, int | float)]
+                raise ExperimentError(
+                    f"the extra {name} of {self._label} cannot be a metric: it is {value!r:.40}, not a "
+                    f"number; numbers among its extras: {', '.join(numbers) or 'none'}"
+                )
+
+    def numbers(self) -> dict[str, float]:
+        """Return the number of each extra in the episode, by the environment's label, a dot, and its name."""
+        return {
+            f"{self._label}.{name}": self._values[name][how]
+            for name, how in self._summaries.items()
+            if name in self._values
+        }
+
+    def missing(self) -> Iterator[str]:
+        """Yield for each extra of the plan without a number in the episode why there is none.
+
+        One whose name has a dot may be that of an environment with another label.
+        """
+        for name in self._summaries:
+            if name not in self._values and "." not in name:
+                yield f"the environment sent no extra {name}: some send extras only if an option says so"
+
+
+def _with(value: float, before: dict[str, float] | None) -> dict[str, float]:
+    """Return the summaries of an extra's values, and their count, after one more value."""
+    if before is None:
+        return {"count": 1, **dict.fromkeys(SUMMARIES, value)}
+    total, count = before["sum"] + value, before["count"] + 1
+    least, most = min(before["min"], value), max(before["max"], value)
+    after = {"last": value, "sum": total, "count": count, "mean": total / count, "min": least, "max": most}
+    return before | after
 
 
 @contextmanager
@@ -138,17 +203,19 @@ class Recorder:
         self._writer.start(observation)
         if meter is not None:
             meter.see(observation)
+        late = before = 0  # of actions, without and with the one that is carried out next
         for number, step in enumerate(steps(self._glue, max_steps), 1):
             self._ask()
             if meter is not None:
                 meter.see(step.observation)
             ended = step.terminal and not step.truncated
-            self._writer.step(action, step.reward, step.observation, ended)
+            self._writer.step(action, step.reward, step.observation, ended, late=late > before)
             if ended:
                 return True
             if meter is not None:
                 meter.after(number)
             action = step.action
+            before, late = late, self._glue.late_actions() or 0
         self._writer.cutoff()
         return False
 

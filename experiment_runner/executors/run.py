@@ -9,31 +9,16 @@ from collections.abc import Collection, Iterable
 from functools import partial
 from typing import Final
 
+from experiment_runner.executors import job as reports
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.job import (
-    BEGINNING,
-    AtHub,
-    Ended,
-    Happened,
-    Job,
-    Joined,
-    Line,
-    Playing,
-    Recorded,
-    Report,
-    Start,
-    Voided,
-)
 from experiment_runner.executors.opening import go_back, remaining
-from experiment_runner.executors.ray_cluster import RayExecutor
-from experiment_runner.executors.settings import RunConfig
 from experiment_runner.executors.trial import run_job
-from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.executors.workers import LocalExecutor, RayExecutor
 from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Progress
-from experiment_runner.store.live_sessions import LiveSession, LiveSessions
+from experiment_runner.store.layout import LiveSession, LiveSessions
 from experiment_runner.store.records import OF_PLAYERS, UNSEEDED
 from experiment_runner.store.store import Store
 from glue.closing import Closing
@@ -45,7 +30,7 @@ _COMMIT_SECONDS: Final = 0.05
 
 def run_trials(
     store: Store,
-    config: RunConfig,
+    config: reports.RunConfig,
     reporter: Progress,
     recording: TrajectoryWriter | None = None,
     *,
@@ -93,7 +78,7 @@ def run_trials(
     return sum(trial.failure is not None for trial in store.trials())
 
 
-def _executor(config: RunConfig) -> Executor | None:
+def _executor(config: reports.RunConfig) -> Executor | None:
     if config.backend is Backend.RAY:
         return RayExecutor(config.address, config.workers)
     return None if config.workers is None else LocalExecutor(config.workers)
@@ -111,13 +96,13 @@ class RunCollector(Closing):
         reporter: shows progress.
     """
 
-    def __init__(self, store: Store, config: RunConfig, reporter: Progress) -> None:
+    def __init__(self, store: Store, config: reports.RunConfig, reporter: Progress) -> None:
         self._store = store
         self._config = config
         self._reporter = reporter
         self._live = LiveSessions(store.directory)
         self._specs: dict[str, TrialSpec] = {record.spec.id: record.spec for record in store.trials()}
-        self._unstored: list[tuple[str, Recorded]] = []
+        self._unstored: list[tuple[str, reports.Recorded]] = []
         self._stored_at = -math.inf
         self._said: set[str] = set()  # texts about all trials of a player
         self._joined: dict[tuple[str, str], str] = {}
@@ -148,47 +133,51 @@ class RunCollector(Closing):
                 self._live.end(trial_id)
                 self.commit()
 
-    def _take_here(self, trial_id: str, report: Report) -> None:
-        if isinstance(report, Ended):
+    def _take_here(self, trial_id: str, report: reports.Report) -> None:
+        if isinstance(report, reports.Ended):
             self.end(trial_id, report.failure)
         else:
             self.take(trial_id, report)
         # A line may come from a thread that watches players; only this thread writes to the store.
-        if isinstance(report, Recorded) and time.monotonic() - self._stored_at >= _COMMIT_SECONDS:
+        if isinstance(report, reports.Recorded) and time.monotonic() - self._stored_at >= _COMMIT_SECONDS:
             self.commit()
 
     def may_start(self, trial_id: str, running: Collection[str]) -> bool:
         """Return True: trials are independent."""
         return True
 
-    def start(self, trial_id: str) -> Job:
+    def start(self, trial_id: str) -> reports.Job:
         """Return the job of a trial, starting from its newest checkpoint."""
         spec = self._specs[trial_id]
         found = self._store.checkpoint(trial_id)
-        start = BEGINNING if found is None else Start(*found, *self._store.sums_until(trial_id, found[0]))
+        start = (
+            reports.BEGINNING
+            if found is None
+            else reports.Start(*found, *self._store.sums_until(trial_id, found[0]))
+        )
         self._reporter.begin(spec, start.after, start.steps)
-        return Job(spec, self._config, start)
+        return reports.Job(spec, self._config, start)
 
-    def take(self, trial_id: str, report: Report) -> None:
+    def take(self, trial_id: str, report: reports.Report) -> None:
         """Store a report; an episode without a checkpoint is kept for `commit`."""
         match report:
-            case Recorded():
+            case reports.Recorded():
                 self._unstored.append((trial_id, report))
                 if report.checkpoint is not None:
                     self.commit()
-            case AtHub(hub, session):
+            case reports.AtHub(hub, session):
                 self._live.begin(trial_id, LiveSession(hub, session))
-            case Playing(episode, steps):
+            case reports.Playing(episode, steps):
                 self._reporter.playing(self._specs[trial_id], episode, steps)
-            case Line(line):
+            case reports.Line(line):
                 self._say(trial_id, line)
-            case Voided(episode, why):
+            case reports.Voided(episode, why):
                 self.commit()
                 self._store.record_void(trial_id, episode, why)
                 self._say(trial_id, f"episode {episode} is void: {why}")
-            case Happened(kind, text):
+            case reports.Happened(kind, text):
                 self._record_event(trial_id, kind, text)
-            case Joined(role, name, program, seeded):
+            case reports.Joined(role, name, program, seeded):
                 self.commit()
                 player = self._store.record_player(trial_id, role, name, program)
                 self._joined[trial_id, role] = name

@@ -20,11 +20,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from experiment_runner.analysis.stats import interquartile_mean
+from experiment_runner.executors.job import RunConfig
 from experiment_runner.executors.opening import Definition, go_back, lengthen, open_run, remaining
 from experiment_runner.executors.run import run_trials
-from experiment_runner.executors.settings import RunConfig
 from experiment_runner.plan.file import dump_plan
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec, plain, trial_seed
 from experiment_runner.plan.tuning import Range, Space, TunePlan
 from experiment_runner.report.progress import Progress
@@ -32,8 +32,9 @@ from experiment_runner.report.tables import counted
 from experiment_runner.store.layout import PLAN_FILE
 from experiment_runner.store.records import TUNED
 from experiment_runner.store.store import Store
-from glue.errors import ConfigError, ExperimentError
+from glue.errors import ExperimentError
 from glue.files import read_text
+from glue.installed import needing
 from glue.options import Value
 
 SEARCH: Final = "search"
@@ -289,10 +290,8 @@ class _Optuna(Sampler):
     """Optuna's tree-structured Parzen estimator."""
 
     def __init__(self, space: Space, seed: int) -> None:
-        try:
+        with needing("tune", "the sampler optuna needs Optuna"):
             import optuna
-        except ImportError:
-            raise ConfigError("the sampler optuna needs Optuna: pip install 'glue-rl[tune]'") from None
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self._space = space
         self._study = optuna.create_study(

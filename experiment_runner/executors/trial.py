@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
-from experiment_runner.executors.extras import Extras
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import (
     Ended,
@@ -26,16 +25,9 @@ from experiment_runner.executors.job import (
     Voided,
 )
 from experiment_runner.executors.players import open_experiment
-from experiment_runner.executors.recording import Meter, Recorder
+from experiment_runner.executors.recording import Extras, Meter, Recorder
 from experiment_runner.store.database import StorageError
-from experiment_runner.store.records import (
-    Checkpoint,
-    EndedEpisode,
-    EpisodeResult,
-    Reading,
-    ask,
-    measured,
-)
+from experiment_runner.store.records import Checkpoint, EndedEpisode, EpisodeResult, Reading, ask, measured
 from glue.console import show_failure
 from glue.engine.experiment import Experiment
 from glue.errors import (
@@ -161,7 +153,7 @@ def run_trial(
     Args:
         glue: the connected experiment.
         job: the trial. If it does not accept any reward, an episode whose return is infinite or NaN ends it;
-            single rewards are checked by `glue`, see `experiment_runner.executors.rewards`.
+            single rewards are checked by `glue`, see `experiment_runner.executors.players`.
         send: called with each report.
         interrupts: lets the running episode end, followed by a checkpoint, before Ctrl-C takes effect; None
             to not defer it.

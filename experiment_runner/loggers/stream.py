@@ -21,11 +21,10 @@ from typing import Final, NamedTuple, Protocol
 import msgspec
 
 from experiment_runner.loggers import LOGGERS
-from experiment_runner.store.export import Cell, settings_of
-from experiment_runner.store.layout import STREAMS, check_links, replace_flushed
-from experiment_runner.store.lock import RunLock, lock_holder
+from experiment_runner.store.layout import STREAMS, RunLock, check_links, lock_holder, replace_flushed
 from experiment_runner.store.records import MEASURES, EpisodeResult
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import Cell, settings_of
 from glue.console import one_line
 from glue.errors import ConfigError, ExperimentError, GlueError
 from glue.files import read_regular

@@ -8,16 +8,12 @@ from typing import Final
 
 from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from tensorboard.compat.proto.summary_pb2 import Summary
-from tensorboard.plugins.hparams.metadata import (
-    NULL_TENSOR,
-    SESSION_START_INFO_TAG,
-    create_summary_metadata,
-)
+from tensorboard.plugins.hparams.metadata import NULL_TENSOR, SESSION_START_INFO_TAG, create_summary_metadata
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
 from experiment_runner.loggers.stream import Point, Source
-from experiment_runner.store.export import Cell
+from experiment_runner.store.run_data import Cell
 from glue.errors import ExperimentError
 
 _SECONDS: Final = 1e9

@@ -28,7 +28,7 @@ With `rate = 24`, in steps per second, no environment waits for its agent: `late
 `late = "0,1"` says what is carried out while it is late. `delay = 2` carries actions out so many steps later.
 
 `metrics_every` and a table `metrics` record the agents' own numbers: see `experiment_runner.plan.metrics`. A
-table `extras` records those of the environments: see `experiment_runner.plan.extras`.
+table `extras` records those of the environments: see `experiment_runner.plan.metrics`.
 
 A table `tune` searches the options of agents: see `experiment_runner.plan.tuning`.
 
@@ -43,9 +43,8 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
-from experiment_runner.plan.extras import parse_extras
 from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE
-from experiment_runner.plan.metrics import parse_metrics
+from experiment_runner.plan.metrics import parse_extras, parse_metrics
 from experiment_runner.plan.plan import ROLES, Plan, RoleSweep, Seeds, plain
 from experiment_runner.plan.toml import SettingError, converted, naming_lines, parse, read, shown
 from experiment_runner.plan.tuning import Range, TunePlan, parse_tune

@@ -20,10 +20,8 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
-from experiment_runner.plan.extras import Summary, check_extras
-from experiment_runner.plan.ids import REMOTE, TrialId, label_of
-from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE
-from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE, REMOTE, TrialId, label_of
+from experiment_runner.plan.metrics import MetricsPlan, Summary, check_extras
 from experiment_runner.plan.toml import SettingError, is_option, shown
 from experiment_runner.plan.tuning import Range, TunePlan
 from glue.console import did_you_mean
@@ -173,7 +171,7 @@ class Plan:
         seeds: the part of a trial from which its seed is derived.
         inside: players that are objects in the process of a trial, of `PLAYERS`; does not affect results.
         metrics: the agents' metrics to record; None for none.
-        extras: the environments' extras to record, and as what; see `experiment_runner.plan.extras`.
+        extras: the environments' extras to record, and as what; see `experiment_runner.plan.metrics`.
         tune: the search for the agents' options; None for none.
         rate, late, delay: the pace of every environment, see `glue.pace.Pace`.
 
@@ -285,9 +283,7 @@ def absolute(plan: Plan, folder: Path) -> Plan:
         return replace(sweep, name=located(sweep.name, folder))
 
     return replace(
-        plan,
-        environments=tuple(map(resolved, plan.environments)),
-        agents=tuple(map(resolved, plan.agents)),
+        plan, environments=tuple(map(resolved, plan.environments)), agents=tuple(map(resolved, plan.agents))
     )
 
 

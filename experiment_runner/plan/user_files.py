@@ -10,6 +10,7 @@ import hashlib
 import sys
 import sysconfig
 from collections.abc import Container, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
@@ -70,17 +71,29 @@ def with_digests(options: Mapping[str, _Values], known: Container[str]) -> dict[
 
 
 def _modules() -> Iterator[Path]:
-    libraries = {Path(folder).resolve() for folder in sysconfig.get_paths().values()}
-    ours = {Path(glue.__file__).resolve().parents[1] / name for name in PACKAGES}
     for name, module in all_modules():
         file = getattr(module, "__file__", None)
         if name in _LOADED_BEFORE or name == "__main__" or not isinstance(file, str):
             continue
-        path = Path(file).resolve()
-        installed = {"site-packages", "dist-packages"}.intersection(path.parts)
-        own = path.suffix == ".py" and not installed and not (libraries | ours).intersection(path.parents)
-        if own and path.is_file():  # torch's in-memory modules name files that do not exist
+        path = _own(file)
+        if path is not None and path.is_file():  # torch's in-memory modules name files that do not exist
             yield path
+
+
+@cache
+def _own(file: str) -> Path | None:
+    """Return the path of a module's file; None if it is installed or ours. A program may open many runs."""
+    path = Path(file).resolve()
+    installed = {"site-packages", "dist-packages"}.intersection(path.parts)
+    own = path.suffix == ".py" and not installed and not _others().intersection(path.parents)
+    return path if own else None
+
+
+@cache
+def _others() -> frozenset[Path]:
+    """Return the folders of the standard library, of installed packages, and of our own."""
+    libraries = {Path(folder).resolve() for folder in sysconfig.get_paths().values()}
+    return frozenset(libraries | {Path(glue.__file__).resolve().parents[1] / name for name in PACKAGES})
 
 
 def _named_by_options(players: Sequence[RoleSpec | RoleSweep]) -> Iterator[Path]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from experiment_runner.store.database import StorageError
-from experiment_runner.store.lock import LOCK_FILE, DirectoryTaken, NoLocks, RunLock, lock_holder
+from experiment_runner.store.layout import LOCK_FILE, DirectoryTaken, NoLocks, RunLock, lock_holder
 from glue.errors import ExperimentError
 
 _PREFIX: Final = "glue-"

@@ -24,8 +24,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import IO, Final, NoReturn
 
-from experiment_runner.processes.children import become_child, end
-from experiment_runner.processes.watchdog import spawn
+from experiment_runner.processes.children import become_child, end, spawn
 from glue.closing import Closing
 from glue.errors import ExperimentError
 

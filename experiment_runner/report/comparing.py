@@ -8,14 +8,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from experiment_runner.analysis.compare import Comparison, compare, sensitivity, trials_needed
+from experiment_runner.analysis import stats
 from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.analysis.stats import FEW_TRIALS, Estimate, bootstrap_rng, mean_of_last
 from experiment_runner.plan.plan import RoleSpec, plain
 from experiment_runner.report.overview import FEW
 from experiment_runner.report.tables import unfinished
-from experiment_runner.store.output import finite
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import finite
 from glue.errors import ExperimentError
 
 COLUMNS: Final = ("A less B", "trials", "difference of IQM", "95 %", "P(A > B)", "95 %")
@@ -27,14 +26,14 @@ class Row(NamedTuple):
 
     a: str
     b: str
-    found: Comparison
+    found: stats.Comparison
 
     def cells(self) -> tuple[str, ...]:
         """Return the cell of each of `COLUMNS`."""
         difference, improvement, trials = self.found
         return (
             f"{self.a} less {self.b}",
-            f"{trials}{FEW if trials < FEW_TRIALS else ''}",
+            f"{trials}{FEW if trials < stats.FEW_TRIALS else ''}",
             f"{difference.value:.2f}",
             f"{difference.low:.2f} to {difference.high:.2f}",
             f"{improvement.value:.2f}",
@@ -63,7 +62,7 @@ def compared(a: Results, b: Results, over: str) -> list[Row]:
     Raises:
         ExperimentError: a run cannot be read, or the runs have no trials in common.
     """
-    rng = bootstrap_rng()
+    rng = stats.bootstrap_rng()
     rows = []
     others = [(theirs, _performance(theirs, over)) for theirs in collect([b])]
     for ours in collect([a]):
@@ -73,7 +72,7 @@ def compared(a: Results, b: Results, over: str) -> list[Row]:
                 continue
             if seeds := [seed for seed in one if seed in other]:
                 first, second = (np.array([found[seed] for seed in seeds]) for found in (one, other))
-                rows.append(Row(ours.label, theirs.label, compare(first, second, rng)))
+                rows.append(Row(ours.label, theirs.label, stats.compare(first, second, rng)))
     if not rows:
         raise ExperimentError(
             f"{a.directory} and {b.directory} have no trials with the same environment and seed: run both "
@@ -93,7 +92,7 @@ def needed(pilot: Results, difference: float, power: float, over: str) -> list[t
         reached = np.array([*_performance(setting, over).values()])
         if len(reached) < 2:
             raise ExperimentError(f"{setting.label} has {len(reached)} trials: a pilot has at least two")
-        found = trials_needed(reached, difference, bootstrap_rng(), power=power)
+        found = stats.trials_needed(reached, difference, stats.bootstrap_rng(), power=power)
         rows.append((setting.label, str(len(reached)), "more than 1,000" if found is None else str(found)))
     return rows
 
@@ -116,7 +115,7 @@ def sensitivities(sweep: Results, over: str) -> list[tuple[str, ...]]:
         if len(found) < 2 or len(environments) < 2:
             continue
         table = np.array([[one[name] for name in environments] for one in found.values()])
-        value, best = sensitivity(table)
+        value, best = stats.sensitivity(table)
         rows.append((label, str(len(found)), str(len(environments)), f"{value:.3f}", [*found][best]))
     if not rows:
         raise ExperimentError(
@@ -131,7 +130,7 @@ def _performance(setting: Setting, over: str) -> dict[int, float]:
     if over == "steps":
         reached = [trial.last(max(1, int(trial.steps[-1]) // 10)) for trial in setting.step_totals()]
     else:
-        reached = [mean_of_last(setting.values[i], _WINDOW) for i in setting.counted()]
+        reached = [stats.mean_of_last(setting.values[i], _WINDOW) for i in setting.counted()]
     return dict(zip(seeds, reached, strict=True))
 
 
@@ -145,5 +144,5 @@ def _environment(setting: Setting) -> str:
     return "" if role is None else json.dumps([role.name, dict(role.options)], sort_keys=True)
 
 
-def _numbers(estimate: Estimate) -> dict[str, object]:
+def _numbers(estimate: stats.Estimate) -> dict[str, object]:
     return {name: finite(float(value)) for name, value in zip(estimate._fields, estimate, strict=True)}

@@ -13,21 +13,13 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
+from experiment_runner.analysis import stats
 from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.analysis.stats import (
-    FEW_TRIALS,
-    bootstrap_rng,
-    convergence_episode,
-    estimate,
-    interquartile_mean,
-    mean,
-    mean_of_last,
-)
 from experiment_runner.report.tables import counted, format_table, wrap
-from experiment_runner.store.lock import lock_holder
-from experiment_runner.store.output import finite
+from experiment_runner.store.layout import lock_holder
 from experiment_runner.store.records import OF_PLAYERS, TUNED, UNSEEDED, TrialRecord
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import finite
 from glue.console import one_line
 
 _WINDOW: Final = 100
@@ -164,7 +156,7 @@ def as_text(
         lines += ["", format_table(("metric", "trials", "values", "last"), metrics, width=width)]
     notes = []
     if any(cells[4].endswith(FEW) for cells in rows):
-        notes.append(f"({FEW.strip()} of fewer than {FEW_TRIALS} trials: they may well miss the mean)")
+        notes.append(f"({FEW.strip()} of fewer than {stats.FEW_TRIALS} trials: they may well miss the mean)")
     for run in runs:
         notes += _notes(run)
     return "\n".join([*lines, *(wrap(one_line(note), width) for note in notes)])
@@ -257,7 +249,7 @@ def setting_numbers(settings: Sequence[Setting], over: str = "episodes") -> list
         settings: of returns.
         over: `episodes` or `steps`.
     """
-    rng = bootstrap_rng()
+    rng = stats.bootstrap_rng()
     return [_numbers(setting, over, rng) for setting in settings]
 
 
@@ -300,20 +292,20 @@ def _numbers(setting: Setting, over: str, rng: np.random.Generator) -> dict[str,
         "high": None,
         "interquartile_mean": None,
         "converged": None,
-        "few_trials": len(begun) < FEW_TRIALS,
+        "few_trials": len(begun) < stats.FEW_TRIALS,
     }
     if begun:
         if over == "steps":
             totals = setting.step_totals()
             reached = np.array([trial.last(max(1, int(trial.steps[-1]) // 10)) for trial in totals])
         else:
-            reached = np.array([mean_of_last(returns, _WINDOW) for returns in begun])
-            numbers["converged"] = convergence_episode(mean(setting.curves()), _WINDOW)
-        numbers["mean"] = float(mean(reached))
-        _, low, high = estimate([reached], mean, rng)
+            reached = np.array([stats.mean_of_last(returns, _WINDOW) for returns in begun])
+            numbers["converged"] = stats.convergence_episode(stats.mean(setting.curves()), _WINDOW)
+        numbers["mean"] = float(stats.mean(reached))
+        _, low, high = stats.estimate([reached], stats.mean, rng)
         if not np.isnan(low):
             numbers |= {"low": float(low), "high": float(high)}
-        numbers["interquartile_mean"] = float(interquartile_mean(reached))
+        numbers["interquartile_mean"] = float(stats.interquartile_mean(reached))
     return numbers
 
 

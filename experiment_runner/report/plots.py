@@ -17,20 +17,14 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from experiment_runner.analysis.compare import profile, tolerance_interval
+from experiment_runner.analysis import stats
 from experiment_runner.analysis.curves import Curve, StepTotals, of_metric, over_episodes, over_steps
-from experiment_runner.analysis.stats import (
-    FEW_TRIALS,
-    FloatArray,
-    estimate,
-    interquartile_mean,
-    mean,
-    running_mean,
-)
+from experiment_runner.analysis.stats import profile, tolerance_interval
 from experiment_runner.report.overview import FEW
 from experiment_runner.report.tables import counted
-from experiment_runner.store.output import written
+from experiment_runner.store.run_data import written
 from glue.errors import ExperimentError
+from glue.installed import needing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,7 +89,7 @@ _PLAIN: Final = Layout()
 
 
 def learning_curves(
-    curves: Mapping[Key, FloatArray],
+    curves: Mapping[Key, stats.FloatArray],
     rng: np.random.Generator,
     *,
     window: int = 100,
@@ -151,7 +145,7 @@ def step_curves(
 
 
 def metric_curves(
-    readings: Mapping[Key, Sequence[tuple[FloatArray, FloatArray]]],
+    readings: Mapping[Key, Sequence[tuple[stats.FloatArray, stats.FloatArray]]],
     rng: np.random.Generator,
     label: str,
     tolerance: bool = False,
@@ -185,12 +179,7 @@ def step_window(window: int, totals: Iterable[Sequence[StepTotals]]) -> int:
 
 
 def _curves(
-    curves: Mapping[Key, Curve | None],
-    window: int,
-    unit: str,
-    label: str,
-    tolerance: bool,
-    layout: Layout,
+    curves: Mapping[Key, Curve | None], window: int, unit: str, label: str, tolerance: bool, layout: Layout
 ) -> Figure:
     drawn = {key: curve for key, curve in curves.items() if curve is not None}  # others are too short yet
     with _style():
@@ -215,10 +204,10 @@ def _curves(
 
 
 def scatter(
-    curves: Mapping[str, FloatArray],
+    curves: Mapping[str, stats.FloatArray],
     *,
     window: int = 100,
-    reference: tuple[str, FloatArray] | None = None,
+    reference: tuple[str, stats.FloatArray] | None = None,
     label: str = _RETURN,
     layout: Layout = _PLAIN,
 ) -> Figure:
@@ -272,7 +261,7 @@ def scatter(
 
 
 def comparison(
-    environments: Mapping[str, Mapping[str, FloatArray]],
+    environments: Mapping[str, Mapping[str, stats.FloatArray]],
     rng: np.random.Generator,
     *,
     final: str,
@@ -315,7 +304,9 @@ def comparison(
     return figure
 
 
-def profiles(reached: Mapping[Key, FloatArray], *, label: str = _RETURN, layout: Layout = _PLAIN) -> Figure:
+def profiles(
+    reached: Mapping[Key, stats.FloatArray], *, label: str = _RETURN, layout: Layout = _PLAIN
+) -> Figure:
     """Return a figure of performance profiles: the share of trials above each value.
 
     Args:
@@ -344,14 +335,14 @@ def profiles(reached: Mapping[Key, FloatArray], *, label: str = _RETURN, layout:
     return figure
 
 
-def _plot_performance(axes: Axes, row: int, reached: FloatArray, rng: np.random.Generator) -> None:
+def _plot_performance(axes: Axes, row: int, reached: stats.FloatArray, rng: np.random.Generator) -> None:
     """Plot the performance of an agent's trials, (trials,), with their means."""
     axes.plot(reached, np.full(len(reached), row), "|", color="0.5", markersize=9, label=_once(row, "trial"))
     for statistic, name, marker, shift, color in (
-        (mean, "mean", "o", -0.2, _COLORS[0]),
-        (interquartile_mean, "interquartile mean", "D", 0.2, _COLORS[1]),
+        (stats.mean, "mean", "o", -0.2, _COLORS[0]),
+        (stats.interquartile_mean, "interquartile mean", "D", 0.2, _COLORS[1]),
     ):
-        value, low, high = estimate([reached], statistic, rng)
+        value, low, high = stats.estimate([reached], statistic, rng)
         axes.plot([low, high], [row + shift] * 2, color=color)
         axes.plot(value, row + shift, marker, color=color, markersize=4, label=_once(row, name))
 
@@ -373,10 +364,8 @@ _NOTHING: Final = "there is nothing to draw yet: no episode is finished"
 
 @contextlib.contextmanager
 def _style() -> Iterator[None]:
-    try:
+    with needing("plot", "figures need matplotlib", ExperimentError):
         import matplotlib
-    except ImportError:
-        raise ExperimentError("figures need matplotlib: pip install 'glue-rl[plot]'") from None
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # independent of the user's own style
         matplotlib.rcParams.update(_STYLE)
@@ -437,20 +426,20 @@ def _environments(
 
 def _marked(name: str, trials: Sized) -> str:
     """Return a curve's name, marked if its interval is one of few trials."""
-    return name + (FEW if len(trials) < FEW_TRIALS else "")
+    return name + (FEW if len(trials) < stats.FEW_TRIALS else "")
 
 
 def _title(figure: Figure, text: str, curves: Iterable[Sized], layout: Layout) -> None:
     """Write a title on as many lines as needed, with a warning if intervals have few trials."""
-    if any(len(values) < FEW_TRIALS for values in curves):
-        text += f"; {FEW.strip()}\N{NO-BREAK SPACE}fewer than {FEW_TRIALS} trials: unreliable"
+    if any(len(values) < stats.FEW_TRIALS for values in curves):
+        text += f"; {FEW.strip()}\N{NO-BREAK SPACE}fewer than {stats.FEW_TRIALS} trials: unreliable"
     if layout.title is not None:
         text = layout.title
     figure.suptitle(textwrap.fill(text, _TITLE_LETTERS), fontsize="small", x=0.02, ha="left")
 
 
-def _plot_mean(axes: Axes, returns: FloatArray, window: int, name: str, dash: str, color: str) -> None:
-    means = mean(running_mean(returns, window))
+def _plot_mean(axes: Axes, returns: stats.FloatArray, window: int, name: str, dash: str, color: str) -> None:
+    means = stats.mean(stats.running_mean(returns, window))
     axes.plot(np.arange(len(means)) + window, means, dash, color=color, linewidth=1.2, label=name)
 
 

@@ -16,8 +16,8 @@ from typing import Any, Final, TextIO
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.tables import counted, format_table, wrap
 from experiment_runner.store.database import reported
-from experiment_runner.store.output import finite
 from experiment_runner.store.records import EpisodeResult, TrialRecord
+from experiment_runner.store.run_data import finite
 from glue.console import for_terminal
 
 _WINDOW: Final = 100

@@ -150,11 +150,7 @@ def _runs(at: Sequence[float], values: Numbers, place: _Place) -> Iterator[str]:
 
 
 def _axes(
-    box: tuple[int, int, int, int],
-    across: _Scale,
-    up: _Scale,
-    place: _Place,
-    words: tuple[str, str],
+    box: tuple[int, int, int, int], across: _Scale, up: _Scale, place: _Place, words: tuple[str, str]
 ) -> Iterator[str]:
     left, top, width, height = box
     for tick in across.ticks():

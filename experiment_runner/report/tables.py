@@ -39,11 +39,7 @@ def unfinished(trials: Iterable[TrialRecord], where: str = "") -> list[str]:
 
 
 def format_table(
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    *,
-    width: int | None = None,
-    prose: bool = False,
+    header: Sequence[str], rows: Sequence[Sequence[str]], *, width: int | None = None, prose: bool = False
 ) -> str:
     """Return a table with a header line; the first column is aligned left, the others right.
 

@@ -3,24 +3,249 @@
 A new run is written to a subfolder of the directory, and its files are then moved up, the database last.
 Only then does the directory hold a run; a subfolder that a killed process leaves behind is ignored. Files
 that were there before are never replaced or removed.
+
+One writer for each run directory: a lock that the operating system drops when its holder dies.
+
+The lock is a `flock`. A forked process would share it, and keep it when its parent has ended: so it is closed
+there.
+
+The hubs of a run's trials in progress: a file in its directory, for observers.
+
+The file is written for each trial that has a hub, and removed with the last. A run may come from elsewhere,
+so the contents are checked on reading: a hub belongs to this user, or is on this machine.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
 import json
 import os
+import platform
+import re
 import shutil
+import stat
 import tempfile
+import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from urllib.parse import urlsplit
+from weakref import WeakSet
 
 from experiment_runner.store.database import DATABASE_FILES, holds_run, reported
-from experiment_runner.store.live_sessions import HUBS_FILE
-from experiment_runner.store.lock import LOCK_FILE, DirectoryTaken, RunLock
-from glue.errors import ExperimentError
-from glue.files import create_regular, read_text
+from glue.errors import ConfigError, ExperimentError
+from glue.files import create_regular, descriptor_of, read_regular, read_text
+from glue.hub.config import check_session, check_url
+
+HUBS_FILE: Final = "hubs.json"
+_MOST_BYTES: Final = 2**18
+_LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
+
+
+class LiveSession(NamedTuple):
+    """The hub of a trial: its URL, and the session's name."""
+
+    hub: str
+    session: str
+
+
+class LiveSessions:
+    """The file of a run, kept up to date by its only writer. Best effort: only observers need it, so write
+    errors are ignored.
+
+    Args:
+        directory: the run directory.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._path = directory / HUBS_FILE
+        self._live: dict[str, LiveSession] = {}
+        self._write()  # removes the file of a killed process
+
+    def begin(self, trial_id: str, live: LiveSession) -> None:
+        """Record the hub of a trial."""
+        self._live[trial_id] = live
+        self._write()
+
+    def end(self, trial_id: str) -> None:
+        """Remove the hub of a trial."""
+        if self._live.pop(trial_id, None) is not None:
+            self._write()
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._live.clear()
+        self._write()
+
+    def _write(self) -> None:
+        new = self._path.with_name(f".{HUBS_FILE}.{os.getpid()}")
+        with suppress(OSError):
+            if not self._live:
+                self._path.unlink(missing_ok=True)
+                return
+            with create_regular(new, mode=0o600) as file:
+                file.write(json.dumps(self._live).encode())
+            new.replace(self._path)
+
+
+def live_sessions(directory: Path) -> dict[str, LiveSession]:
+    """Return the hubs of the trials in progress, by id, that belong to this user or this machine."""
+    try:
+        fields: Any = json.loads(read_regular(directory / HUBS_FILE, _MOST_BYTES, own=True))
+        found = {str(trial_id): LiveSession(hub, session) for trial_id, (hub, session) in fields.items()}
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return {}
+    return {trial_id: live for trial_id, live in found.items() if _is_ours(live)}
+
+
+def _is_ours(live: LiveSession) -> bool:
+    """Return whether a hub is a socket of this user, or listens on this machine."""
+    if not (isinstance(live.hub, str) and isinstance(live.session, str)):
+        return False
+    try:
+        check_url(live.hub)
+        check_session(live.session)
+    except ConfigError:
+        return False
+    scheme, _, path = live.hub.partition("://")
+    if scheme == "tcp":
+        return urlsplit(live.hub).hostname in _LOOPBACK
+    try:
+        status = os.lstat(path)
+    except (OSError, ValueError):
+        return False
+    return path.startswith("/") and stat.S_ISSOCK(status.st_mode) and status.st_uid == os.getuid()
+
+
+LOCK_FILE: Final = "lock"
+
+# `lock_holder` acquires the lock for an instant to see whether it is free.
+_ATTEMPTS: Final = 5
+_PAUSE: Final = 0.05
+_LONGEST: Final = 200  # bytes of the file that are read
+_LOCK: Final = re.compile(rb"(process \d+ on .*)?")  # empty if the disk was full
+_NO_LOCKS: Final = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
+
+
+class DirectoryTaken(ExperimentError):
+    """A directory is in use, or holds something other than the wanted run.
+
+    Attributes:
+        directory: the directory.
+    """
+
+    def __init__(self, directory: Path, why: str) -> None:
+        super().__init__(f"{directory} {why}")
+        self.directory = directory
+
+
+class NoLocks(ExperimentError):
+    """The file system of a directory has no locks, so two programs could write to a run at the same time."""
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__(
+            f"the file system of {directory} has no locks (flock), which leave a run to one writer: "
+            "use a directory on another file system"
+        )
+
+
+class RunLock:
+    """Holds the lock of a run directory until `release`, or until the process ends.
+
+    Raises:
+        DirectoryTaken: another process holds it, which the message names; or the file is not a lock.
+        NoLocks: the file system has none.
+        StorageError: the lock file cannot be written.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        path = directory / LOCK_FILE
+        with reported(f"cannot write {path}"):
+            self._file = descriptor_of(path, os.O_RDWR | os.O_CREAT, 0o644)
+            _held.add(self)
+            try:
+                self._take(directory, path)
+            except BaseException:
+                self.release()
+                raise
+
+    def _take(self, directory: Path, path: Path) -> None:
+        content = os.pread(self._file, _LONGEST, 0)
+        if not _LOCK.fullmatch(content):  # it would be overwritten
+            raise DirectoryTaken(directory, f"has a file {LOCK_FILE} that is no run's lock: remove it")
+        try:
+            free = _try_lock(self._file, _ATTEMPTS)
+        except NotImplementedError:
+            if not content:
+                path.unlink(missing_ok=True)
+            raise NoLocks(directory) from None
+        # A file that its last holder removed meanwhile locks nothing.
+        if not free or not _is_open_as(self._file, path):
+            raise DirectoryTaken(directory, f"is in use by {_name_in(self._file)}")
+        os.truncate(self._file, 0)
+        os.pwrite(self._file, f"process {os.getpid()} on {platform.node()}".encode(), 0)
+
+    def release(self) -> None:
+        """Let another process write. May be called twice."""
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1
+
+
+def lock_holder(directory: Path) -> str | None:
+    """Return the process that writes to a run directory, as in `process 42 on lab7`; None if none does."""
+    try:
+        file = descriptor_of(directory / LOCK_FILE, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        return None if _try_lock(file, 1, fcntl.LOCK_SH) else _name_in(file)
+    except NotImplementedError:  # then nothing can write to it
+        return None
+    finally:
+        os.close(file)
+
+
+def _is_open_as(file: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _try_lock(file: int, attempts: int, kind: int = fcntl.LOCK_EX) -> bool:
+    for attempt in range(attempts):
+        if attempt:
+            time.sleep(_PAUSE)
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            continue
+        except OSError as error:
+            if error.errno in _NO_LOCKS:
+                raise NotImplementedError from None
+            raise
+        return True
+    return False
+
+
+def _name_in(file: int) -> str:
+    return os.pread(file, _LONGEST, 0).decode(errors="replace") or "another process"
+
+
+_held: Final[WeakSet[RunLock]] = WeakSet()
+
+
+def _release_all() -> None:
+    for lock in tuple(_held):
+        lock.release()
+
+
+os.register_at_fork(after_in_child=_release_all)
+
 
 PLAN_FILE: Final = "plan.toml"
 ABOUT_FILE: Final = "run.json"

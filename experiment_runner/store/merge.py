@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, PLAN_FILE
 from experiment_runner.store.records import TrialRecord

@@ -12,24 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.limits import COUNTS
+from experiment_runner.plan.limits import COUNTS, TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.store import records
 from experiment_runner.store.database import Database, open_to_read, reported
 from experiment_runner.store.readings import Metric, unpacked
-from experiment_runner.store.records import (
-    MEASURES,
-    Answered,
-    Checkpoint,
-    EpisodeResult,
-    OutsidePlayer,
-    ReplayVerdict,
-    RunEvent,
-    Totals,
-    TrialEnd,
-    TrialRecord,
-    Void,
-)
 from glue.closing import Closing
 from glue.errors import ConfigError, ExperimentError
 from glue.pace import Pace
@@ -38,9 +25,9 @@ _Row = TypeVar("_Row")
 _Whole = Annotated[int, Meta(ge=0)]
 _STORED: Final[dict[str, Any]] = {  # types of the measures; NULL for NaN, and if recorded without the measure
     name: int if measure.kind is bool else measure.kind if "NOT NULL" in measure.sql else measure.kind | None
-    for name, measure in MEASURES.items()
+    for name, measure in records.MEASURES.items()
 }
-_COLUMNS: Final = {name: measure.sql.partition(" ")[0] for name, measure in MEASURES.items()}
+_COLUMNS: Final = {name: measure.sql.partition(" ")[0] for name, measure in records.MEASURES.items()}
 _OF_TRIAL: Final = "trial = (SELECT key FROM trials WHERE id = ?)"
 
 
@@ -96,7 +83,7 @@ class Results(Closing):
         """Close the files."""
         self._database.close()
 
-    def trials(self) -> list[TrialRecord]:
+    def trials(self) -> list[records.TrialRecord]:
         """Return the record of every trial, in the order of the plan."""
         rows = self._rows(
             _TrialRow,
@@ -119,12 +106,12 @@ class Results(Closing):
         joined = self.joined_players()
         return {record.spec.id: record.spec.named(joined) for record in self.trials()}
 
-    def episodes(self, trial_id: str) -> list[EpisodeResult]:
+    def episodes(self, trial_id: str) -> list[records.EpisodeResult]:
         """Return the episodes of a trial so far, in order; a return may be NaN."""
-        rows = self._numbered(trial_id, *MEASURES)
-        kinds = [measure.kind for measure in MEASURES.values()]
+        rows = self._numbered(trial_id, *records.MEASURES)
+        kinds = [measure.kind for measure in records.MEASURES.values()]
         return [
-            EpisodeResult._make(
+            records.EpisodeResult._make(
                 (episode, *(math.nan if v is None else k(v) for k, v in zip(kinds, values, strict=True)))
             )
             for episode, *values in rows
@@ -165,7 +152,7 @@ class Results(Closing):
         )
         return bool(rows and rows[0][0])
 
-    def totals(self, trial_id: str, last: int | None = None) -> Totals:
+    def totals(self, trial_id: str, last: int | None = None) -> records.Totals:
         """Return sums over the episodes of a trial so far, or over the last `last`; in constant memory."""
         ((episodes, steps, cut_off, total, numbers),) = self._rows(
             tuple[int, int, int, float | None, int],
@@ -179,16 +166,16 @@ class Results(Closing):
             total = 0.0
         elif numbers < episodes or total is None:  # the sum of infinities of both signs is NaN
             total = math.nan
-        return Totals(episodes, steps, cut_off, total)
+        return records.Totals(episodes, steps, cut_off, total)
 
-    def checkpoint(self, trial_id: str) -> tuple[int, Checkpoint] | None:
+    def checkpoint(self, trial_id: str) -> tuple[int, records.Checkpoint] | None:
         """Return the newest checkpoint of a trial and the episode after which it was taken, None if none."""
         rows = self._rows(
             tuple[int, bytes, bytes, bytes],
             f"SELECT episode, agent, environment, metrics FROM checkpoints WHERE {_OF_TRIAL}",
             trial_id,
         )
-        return (rows[0][0], Checkpoint(*rows[0][1:])) if rows else None
+        return (rows[0][0], records.Checkpoint(*rows[0][1:])) if rows else None
 
     def checkpointed(self) -> dict[str, int]:
         """Return the episode after which the newest checkpoint was taken, for each trial that has one."""
@@ -202,23 +189,24 @@ class Results(Closing):
                 raise self._damaged(f"a checkpoint of {trial_id} follows episode {episode} of {done}")
         return {trial_id: episode for trial_id, episode, _ in rows}
 
-    def voids(self) -> list[Void]:
+    def voids(self) -> list[records.Void]:
         """Return the voided attempts, oldest first."""
         return self._rows(
-            Void, "SELECT time, id, episode, why FROM voids JOIN trials ON key = trial ORDER BY voids.rowid"
+            records.Void,
+            "SELECT time, id, episode, why FROM voids JOIN trials ON key = trial ORDER BY voids.rowid",
         )
 
-    def events(self) -> list[RunEvent]:
+    def events(self) -> list[records.RunEvent]:
         """Return the events of the run, oldest first."""
         return self._rows(
-            RunEvent,
+            records.RunEvent,
             "SELECT time, id, kind, text FROM events LEFT JOIN trials ON key = trial ORDER BY events.rowid",
         )
 
-    def players(self) -> list[OutsidePlayer]:
+    def players(self) -> list[records.OutsidePlayer]:
         """Return the players that joined from outside, oldest first."""
         return self._rows(
-            OutsidePlayer,
+            records.OutsidePlayer,
             """SELECT time, id, role, name, program FROM players JOIN trials ON key = trial
                 ORDER BY players.rowid""",
         )
@@ -245,25 +233,34 @@ class Results(Closing):
             trial_id,
         )
 
-    def answers(self, trial_id: str) -> list[Answered]:
+    def answers(self, trial_id: str) -> list[records.Answered]:
         """Return the answers of a trial's agent after its episodes, in their order."""
         return self._answers("id = ? ORDER BY episode, message", trial_id)
 
-    def newest_answers(self) -> list[Answered]:
+    def newest_answers(self) -> list[records.Answered]:
         """Return the latest answers of each trial's agent."""
         return self._answers(
             "episode = (SELECT max(episode) FROM answers WHERE trial = key) ORDER BY key, message"
         )
 
-    def outcomes(self) -> dict[str, TrialEnd]:
+    def outcomes(self) -> dict[str, records.TrialEnd]:
         """Return the outcome of each finished trial of a competition, by id."""
         rows = self._rows(
             tuple[str, str | None, bytes],
             "SELECT id, reason, digest FROM outcomes JOIN trials ON key = trial",
         )
-        return {trial_id: TrialEnd(reason, digest) for trial_id, reason, digest in rows}
+        return {trial_id: records.TrialEnd(reason, digest) for trial_id, reason, digest in rows}
 
-    def verdicts(self) -> dict[str, ReplayVerdict]:
+    def late_actions(self) -> dict[str, tuple[int, int]]:
+        """Return the number of late actions of each trial with a rate, and of all its actions, by id."""
+        rows = self._rows(
+            tuple[str, int, int],
+            "SELECT id, ifnull(SUM(episodes.late), 0), SUM(episodes.steps) FROM episodes "
+            "JOIN trials ON key = trial WHERE rate > 0 GROUP BY trial",
+        )
+        return {trial_id: (late, actions) for trial_id, late, actions in rows}
+
+    def verdicts(self) -> dict[str, records.ReplayVerdict]:
         """Return the result of each trial of a competition that was replayed, by id."""
         rows = self._rows(
             tuple[str, bytes, str | None, float | None],
@@ -271,7 +268,7 @@ class Results(Closing):
         )
         return {row[0]: _verdict(*row[1:]) for row in rows}
 
-    def verdict(self, trial_id: str) -> ReplayVerdict | None:
+    def verdict(self, trial_id: str) -> records.ReplayVerdict | None:
         """Return the result of replaying a trial of a competition; None if it was not replayed."""
         rows = self._rows(
             tuple[bytes, str | None, float | None],
@@ -280,9 +277,9 @@ class Results(Closing):
         )
         return _verdict(*rows[0]) if rows else None
 
-    def _answers(self, which: str, *values: object) -> list[Answered]:
+    def _answers(self, which: str, *values: object) -> list[records.Answered]:
         return self._rows(
-            Answered,
+            records.Answered,
             f"SELECT id, episode, message, answer FROM answers JOIN trials ON key = trial WHERE {which}",
             *values,
         )
@@ -309,7 +306,7 @@ class Results(Closing):
             raise self._damaged("episodes of a trial are missing")
         return rows
 
-    def _trial(self, row: _TrialRow) -> TrialRecord:
+    def _trial(self, row: _TrialRow) -> records.TrialRecord:
         roles = (self._role(row.trial_id, row.agent), self._role(row.trial_id, row.environment))
         try:
             pace = Pace(row.rate, row.late, row.delay)
@@ -317,7 +314,7 @@ class Results(Closing):
             raise self._damaged(f"the pace of {row.trial_id}: {error}") from None
         limits = (row.episodes, row.max_steps, row.seed, row.budget)
         spec = TrialSpec(TrialId(row.trial_id), *roles, *limits, pace=pace)
-        return TrialRecord(spec, row.done, row.voids, row.failure, row.steps)
+        return records.TrialRecord(spec, row.done, row.voids, row.failure, row.steps)
 
     def _role(self, trial_id: str, text: str | None) -> RoleSpec | None:
         if text is None:
@@ -332,5 +329,5 @@ class Results(Closing):
         return ExperimentError(f"cannot read {self.directory}: results.sqlite is damaged: {what}")
 
 
-def _verdict(digest: bytes, problem: str | None, score: float | None) -> ReplayVerdict:
-    return ReplayVerdict(digest, problem, math.nan if score is None else score)
+def _verdict(digest: bytes, problem: str | None, score: float | None) -> records.ReplayVerdict:
+    return records.ReplayVerdict(digest, problem, math.nan if score is None else score)

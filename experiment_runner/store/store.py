@@ -34,8 +34,7 @@ from experiment_runner.store.database import (
     reported,
     transaction,
 )
-from experiment_runner.store.layout import check_links, new_run, write_flushed
-from experiment_runner.store.lock import RunLock
+from experiment_runner.store.layout import RunLock, check_links, new_run, write_flushed
 from experiment_runner.store.readings import Block
 from experiment_runner.store.records import (
     Answer,

@@ -30,8 +30,7 @@ from experiment_runner.view.catalog import (
 from experiment_runner.view.curves import curves, drawn, wanted_by
 from experiment_runner.view.guard import WRITABLE, Address, Guard, Locked
 from experiment_runner.view.live import Live
-from experiment_runner.view.reader import Cache, Reader, json_response
-from experiment_runner.view.stream import Pulse
+from experiment_runner.view.stream import Cache, Pulse, Reader, json_response
 from glue.errors import ConfigError, GlueError
 from glue.installed import entry_points
 

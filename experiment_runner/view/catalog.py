@@ -17,23 +17,15 @@ from typing import Any, Final, NamedTuple
 from experiment_runner.competition.board.forms import LEGEND, as_json
 from experiment_runner.competition.board.standings import standings
 from experiment_runner.competition.course import course_of
-from experiment_runner.plan.ids import REMOTE
+from experiment_runner.plan.limits import REMOTE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.report.overview import Overview, as_object, overview
+from experiment_runner.store import layout
 from experiment_runner.store.database import DATABASE_FILES
-from experiment_runner.store.layout import (
-    ABOUT_FILE,
-    COMPETITION_FILE,
-    NOTES_FILE,
-    PLAN_FILE,
-    replace_flushed,
-    runs_under,
-)
-from experiment_runner.store.lock import lock_holder
+from experiment_runner.store.layout import lock_holder
 from experiment_runner.store.results import Results
 from experiment_runner.view.export import figures
-from experiment_runner.view.reader import Reader
-from experiment_runner.view.stream import Pulse, Topic
+from experiment_runner.view.stream import Pulse, Reader, Topic
 from glue.console import one_line, printable
 from glue.errors import ExperimentError
 from glue.files import read_regular
@@ -104,7 +96,7 @@ class Catalog:
         """Scan for runs, and return all of them by id."""
         entries: dict[str, Entry] = {}
         for folder in self._folders:
-            for directory in runs_under(folder):
+            for directory in layout.runs_under(folder):
                 name = str(directory.relative_to(folder.parent))
                 entries.setdefault(run_id(directory), Entry(directory, name))
         self._entries = entries
@@ -215,7 +207,7 @@ def _summary(results: Results) -> dict[str, Any]:
         "path": str(results.directory),
         "agents": _some(agents),
         "environments": _some(environments),
-        "competition": (results.directory / COMPETITION_FILE).is_file(),
+        "competition": (results.directory / layout.COMPETITION_FILE).is_file(),
     }
     if found["competition"]:
         return found | _competition(results, run)
@@ -250,7 +242,7 @@ def _options(specs: Sequence[TrialSpec]) -> dict[str, list[str]]:
 def read_notes(directory: Path) -> dict[str, Any]:
     """Return a run's `note` and `tags`, which may come from anyone: within limits, or empty."""
     try:
-        return checked_notes(read_regular(directory / NOTES_FILE, NOTES_LIMIT))
+        return checked_notes(read_regular(directory / layout.NOTES_FILE, NOTES_LIMIT))
     except (OSError, ExperimentError):
         return {"note": "", "tags": []}
 
@@ -280,7 +272,7 @@ def write_notes(directory: Path, notes: dict[str, Any]) -> None:
     Raises:
         ExperimentError: the file cannot be written.
     """
-    replace_flushed(directory / NOTES_FILE, json.dumps(notes) + "\n")
+    layout.replace_flushed(directory / layout.NOTES_FILE, json.dumps(notes) + "\n")
 
 
 def _competition(results: Results, run: Overview) -> dict[str, Any]:
@@ -313,14 +305,14 @@ def run_in_full(directory: Path) -> dict[str, Any]:
         found[name] = found[name][:most]
     for answered in found["answers"]:
         answered["answer"] = answered["answer"][:_MOST_ANSWER]
-    competition = _text(directory / COMPETITION_FILE)
+    competition = _text(directory / layout.COMPETITION_FILE)
     for trial in found["trial_records"]:
         # As text, since JavaScript would round it; in a competition it is secret.
         trial["seed"] = "secret" if competition else str(trial["seed"])
     return found | {
-        "plan": competition or _text(directory / PLAN_FILE),
+        "plan": competition or _text(directory / layout.PLAN_FILE),
         "competition": bool(competition),
-        "about": _about(_text(directory / ABOUT_FILE)),
+        "about": _about(_text(directory / layout.ABOUT_FILE)),
     }
 
 
@@ -373,7 +365,7 @@ def _some(names: Sequence[str]) -> list[str]:
 
 def _signs(directory: Path) -> tuple[object, ...]:
     """Return a value that differs when a run has changed, at the price of a few system calls."""
-    names = (*DATABASE_FILES[:2], NOTES_FILE)
+    names = (*DATABASE_FILES[:2], layout.NOTES_FILE)
     return (lock_holder(directory), *(version(directory / name) for name in names))
 
 
@@ -390,7 +382,7 @@ def address_of(folders: Sequence[Path]) -> str:
     """Return the end of the page's address for a run, a competition (its standings), or all runs."""
     if len(folders) != 1 or not (folders[0] / DATABASE_FILES[0]).is_file():
         return ""
-    view = "standings" if (folders[0] / COMPETITION_FILE).is_file() else "run"
+    view = "standings" if (folders[0] / layout.COMPETITION_FILE).is_file() else "run"
     return f"#/{view}/{run_id(folders[0].absolute())}"
 
 

@@ -16,9 +16,9 @@ from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.report import svg
 from experiment_runner.report.overview import setting_numbers
 from experiment_runner.report.plots import fitting_window, step_window
-from experiment_runner.store.output import finite
 from experiment_runner.store.records import MEASURES
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import finite
 from glue.console import did_you_mean
 from glue.errors import ExperimentError
 

@@ -22,7 +22,7 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
 from experiment_runner.view.catalog import Catalog
-from experiment_runner.view.reader import Cache, Reader, as_json, json_response
+from experiment_runner.view.stream import Cache, Reader, as_json, json_response
 from glue.errors import ExperimentError, TaskSpecError
 from glue.taskspec import Bound, Ranges, parse_task_spec
 from glue.trajectory import Answer, Episode, TrajectoryError, TrajectoryReader
@@ -70,10 +70,7 @@ def routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
         )
 
     cache = Cache()
-    return [
-        Route("/api/recordings/{run}", recordings),
-        Route("/api/episodes/{run}/{episode}", episode),
-    ]
+    return [Route("/api/recordings/{run}", recordings), Route("/api/episodes/{run}/{episode}", episode)]
 
 
 def described(task_spec: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import contextlib
 import itertools
 import os
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
@@ -65,19 +65,13 @@ def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
 
 @contextlib.contextmanager
 def season_viewed(
-    directory: Path,
-    *,
-    page: str,
-    proxy: str = "",
-    insecure: bool = False,
-    publish: Path | None = None,
-    say: Callable[[str], None],
+    directory: Path, options: Mapping[str, object], say: Callable[[str], None]
 ) -> Iterator[None]:
     """Show a season on its page until the context ends; the page is started again whenever it is killed.
 
     Args:
         directory: of the season.
-        page, proxy, insecure, publish: see `glue-compete page`.
+        options: of `glue-compete page`, by name; those that are None, empty or False are left out.
         say: shows a line; called from any thread.
 
     Raises:
@@ -85,10 +79,10 @@ def season_viewed(
     """
     from experiment_runner.processes.children import KeptAlive
 
-    arguments = ["page", str(directory), "--page", page]
-    arguments += ["--proxy", proxy] if proxy else []
-    arguments += ["--insecure"] if insecure else []
-    arguments += ["--publish", str(publish)] if publish is not None else []
+    arguments = ["page", str(directory)]
+    for name, value in options.items():
+        if value:
+            arguments += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
     with KeptAlive(
         "page of the season",
         "compete",

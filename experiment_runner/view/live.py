@@ -17,7 +17,7 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.store.live_sessions import LiveSession, live_sessions
+from experiment_runner.store.layout import LiveSession, live_sessions
 from experiment_runner.view.catalog import Catalog
 from experiment_runner.view.episodes import described, number
 from experiment_runner.view.stream import Pulse, Topic

@@ -11,6 +11,7 @@ from typing import Final
 import click
 
 from glue import __version__
+from glue.cli.shared import FILE
 from glue.conform.clients.process import TRANSPORTS, starter
 from glue.conform.rules import Outcome, Tier
 from glue.console import for_terminal, say
@@ -59,7 +60,7 @@ _HUB: Final = "hub"
 @click.option(
     "--scorecard",
     "card",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="Also write the verdicts to this file, as a table in Markdown.",
 )

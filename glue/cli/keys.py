@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from glue import __version__
+from glue.cli.shared import DIRECTORY
 from glue.console import say
 from glue.keys.certificates import encode, read_public, write_pair
 
@@ -30,7 +31,7 @@ def keys() -> None:
 @click.option(
     "--dir",
     "directory",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=DIRECTORY,
     default=Path(),
     metavar="DIR",
     help="Where to write the two files. [default: the working directory]",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from glue.cli.shared import FILE
 from glue.console import say
 from glue.errors import ConfigError, GlueError, HubUnreachable
 from glue.hub.config import HUB_KEY_VARIABLE, HUB_VARIABLE, KEY_VARIABLE, SESSION_VARIABLE
@@ -33,7 +34,7 @@ _END_SECONDS: Final = 5.0
 """Time for a program to end after its trial."""
 
 SEASON_SETTINGS: Final[dict[str, Any]] = {
-    "type": click.Path(path_type=Path, dir_okay=False),
+    "type": FILE,
     "metavar": "FILE",
     "help": "Play an attempt of the season of FILE, a season.toml of glue-compete join.",
 }

@@ -18,12 +18,7 @@ from typing import Any, Final, NoReturn, TypeVar
 
 import click
 
-from glue.cli.entry import (
-    EXIT_INTERRUPTED,
-    EXIT_TERMINATED,
-    Terminated,
-    is_stuck,
-)
+from glue.cli.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, is_stuck
 from glue.console import LOG, say
 from glue.errors import ConfigError, GlueError
 from glue.hub.config import HUB_KEY_VARIABLE, KEY_VARIABLE
@@ -31,9 +26,12 @@ from glue.hub.config import HUB_KEY_VARIABLE, KEY_VARIABLE
 WAIT_VARIABLE: Final = "GLUE_WAIT"
 """The environment variable of the option `--wait`, in every command that has it."""
 
+DIRECTORY: Final = click.Path(path_type=Path, file_okay=False)
+FILE: Final = click.Path(path_type=Path, dir_okay=False)
+
 keys_option: Final = click.option(
     "--keys",
-    type=click.Path(path_type=Path, file_okay=False),
+    type=DIRECTORY,
     metavar="DIR",
     help="Admit only the owners of the keys in DIR, in the roles of DIR/allow.toml, and encrypt everything. "
     "DIR is read again on SIGHUP.",

@@ -7,11 +7,11 @@ from typing import Any, Final
 
 from glue.client.bodies import READ, write
 from glue.engine.calls import Handler, name_of, role_calls
-from glue.errors import RemoteProtocolError
+from glue.errors import ConfigError, RemoteProtocolError
 from glue.roles import AgentLike, EnvironmentLike, capabilities
 from glue.types import Observation
 from glue.wire.beside import carried, readable
-from glue.wire.messages import BESIDE, CALLS, Kind, Message, Role
+from glue.wire.messages import BESIDE, CALLS, PACE, Kind, Message, Role
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
@@ -33,6 +33,8 @@ class ServedPlayer:
     def __init__(self, role: Role, player: AgentLike | EnvironmentLike, name: str | None = None) -> None:
         self.name: str = name or name_of(player)
         self.capabilities: tuple[str, ...] = capabilities(player)
+        if getattr(player, "env_waits", False):
+            self.capabilities += (PACE,)  # the hub says whether it has one
         self._handlers: Final[dict[Kind, tuple[Handler, Callable[[bytes], Any]]]] = {
             kind: (handler, READ[CALLS[kind].request.body])
             for kind, handler in role_calls(role, player).items()
@@ -52,8 +54,17 @@ class ServedPlayer:
         self._last_seq = 0
 
     def welcome(self, message: Message) -> None:
-        """Note what the hub can carry beside the numbers of observations, according to a WELCOME."""
+        """Note what the hub can carry beside the numbers of observations, according to a WELCOME.
+
+        Raises:
+            ConfigError: this hub does not wait for agents, and the player checks their actions.
+        """
         confirmed = carried(message)
+        if PACE in confirmed:
+            raise ConfigError(
+                f"{self.name} cannot check actions here: this hub has a rate or a delay, and what is illegal "
+                "by now need not be the agent's choice"
+            )
         self._carried = self._beside if self._beside <= confirmed else self._beside & confirmed
 
     def answer(self, message: Message) -> Message | None:

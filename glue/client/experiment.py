@@ -23,7 +23,7 @@ from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, Pe
 from glue.hub.config import DEFAULT_SESSION
 from glue.types import Observation, has_beside
 from glue.wire.beside import carried, readable_by_agent
-from glue.wire.messages import BESIDE, CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role, Value
+from glue.wire.messages import BESIDE, CALLS, OUTCOME, PACE, ErrorCode, Event, Kind, Message, Role, Value
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -76,7 +76,6 @@ def connect_over(
     name: str = "experiment",
     on_notice: OnNotice | None = None,
     num_steps: Callable[[], int] | None = None,
-    num_late: Callable[[], int] | None = None,
 ) -> RemoteExperiment:
     """Return an experiment of `session` over an open connection, once the hub has let it in.
 
@@ -86,14 +85,13 @@ def connect_over(
         name: as for `connect`.
         on_notice: as for `connect`.
         num_steps: returns RL_num_steps from any thread; None if the hub is not in this process.
-        num_late: likewise, the number of late actions.
 
     Raises:
         ConfigError: the session name is malformed.
         Refused: the hub does not let it in.
     """
     target = Target("inside", session)
-    return RemoteExperiment(target, name, None, None, on_notice, transport, num_steps, num_late)
+    return RemoteExperiment(target, name, None, None, on_notice, transport, num_steps)
 
 
 class RemoteExperiment(Experiment):
@@ -108,10 +106,8 @@ class RemoteExperiment(Experiment):
         on_notice: OnNotice | None,
         transport: Transport | None = None,
         num_steps: Callable[[], int] | None = None,
-        num_late: Callable[[], int] | None = None,
     ) -> None:
         self._num_steps = num_steps
-        self._num_late = num_late
         self._session = session = target.session
         self._on_notice = on_notice
         self._seq = 0
@@ -123,7 +119,7 @@ class RemoteExperiment(Experiment):
         self._given_up: str | None = None
         self._outcome: Mapping[Kind, tuple[Value, ...]] = {}
         self._carries: frozenset[str] = frozenset()
-        names = {session: (name, (*sorted(BESIDE), OUTCOME))}
+        names = {session: (name, (*sorted(BESIDE), OUTCOME, PACE))}
         self._link = Link(Role.EXPERIMENT, target.hub, names, wait, context, transport, target.key)
         self._closed = False
         try:
@@ -143,7 +139,11 @@ class RemoteExperiment(Experiment):
         return None if self._num_steps is None else self._num_steps()
 
     def late_actions(self) -> int | None:
-        return None if self._num_late is None else self._num_late()
+        if PACE not in self._carries:
+            return None
+        self._outcome = {}  # it does not include this
+        (_, late), _ = self._call(Kind.RL_NUM_STEPS)
+        return int(late)
 
     def give_up(self, reason: str) -> None:
         """Make the verb that is waiting, or the next one, raise HubClosed; callable from any thread."""

@@ -85,7 +85,7 @@ class SeasonBusy(GlueError):
 
 
 class Membership(msgspec.Struct, frozen=True):
-    """What an entrant knows of a season: the contents of its `season.toml`.
+    """The data of an entrant of a season: the contents of its `season.toml`.
 
     Args:
         page: address of the season's page, such as `https://season.example`.
@@ -214,7 +214,7 @@ class Page:
 
 
 class Progress(msgspec.Struct, frozen=True):
-    """What the page says of an attempt.
+    """The state of an attempt, as the page says it.
 
     Args:
         state: waiting, playing, verifying or over.

@@ -21,6 +21,9 @@ class CheckedActions:
         PeerFailed: in env_step, the agent's action is illegal.
     """
 
+    env_waits = True
+    """Whether its hub must wait for agents: elsewhere an action is not carried out where it was chosen."""
+
     def __init__(self, environment: Any) -> None:
         if offers(environment, BatchEnvironment):
             raise ConfigError("the actions of many games at once cannot be checked")

@@ -53,7 +53,8 @@ class Experiment(Closing):
     def late_actions(self) -> int | None:
         """Return the number of late actions since the last start; always 0 without a rate (see `glue.pace`).
 
-        None if it is not known here, as at a hub in another process.
+        The action that a start or a step has just returned is late if this number has grown. None if it is
+        not known here, as at a hub that waits for agents.
         """
         return None
 

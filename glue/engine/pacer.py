@@ -45,7 +45,7 @@ class Pacer:
         asked: the call that the agent is carrying out; None if there is none.
         deadline: the time, in seconds of the host's clock, at which `due` is to be called, as the engine
             waits for an action; None if it does not, or waits for the agent.
-        num_late: number of late actions since the last start.
+        num_late: number of late actions since the last start, each counted when it is carried out.
     """
 
     def __init__(self, pace: Pace, empty: Any, named: Any) -> None:
@@ -58,7 +58,7 @@ class Pacer:
         self._newest = empty
         self._fresh = False  # the newest action has not been carried out
         self._waiting: deque[Instruction] = deque()  # at most a step that the agent has not seen, and a call
-        self._line: deque[Any] = deque()  # actions that are delayed
+        self._line: deque[tuple[Any, bool]] = deque()  # delayed actions, and whether they stand for late ones
         self._at = 0.0  # when the last step was due
         self._asked_at = 0.0
         self._latency = 0.0
@@ -67,7 +67,8 @@ class Pacer:
     def bodies(self) -> tuple[Any, ...]:
         """The bodies that it keeps, for the account of the host's memory."""
         asked = None if self.asked is None else self.asked.body
-        return (self._named, self._newest, asked, *(call.body for call in self._waiting), *self._line)
+        delayed = (action for action, _ in self._line)
+        return (self._named, self._newest, asked, *(call.body for call in self._waiting), *delayed)
 
     def unfit(self, task_spec: str) -> str:
         """Return why the named action cannot be carried out in an environment; "" if it can."""
@@ -121,29 +122,30 @@ class Pacer:
         self.asked = None
         if kind is Kind.AGENT_START:
             self._newest, self._fresh, self._at = body, False, now
-            self._line = deque([body if self._named is None else self._named] * self._pace.delay)
+            self._line = deque([(body if self._named is None else self._named, False)] * self._pace.delay)
         elif kind is _STEP:
             self._newest, self._fresh = body, True
         if kind in _ACTING:
             self._latency = now - self._asked_at
         if kind is not _STEP:
             return scalars, body
-        return None if self._period else (scalars, self._delayed(body))
+        return None if self._period else (scalars, self._delayed(body, late=False))
 
     def due(self) -> Reply:
         """Return the answer for the engine, as the deadline has come."""
         assert self.deadline is not None
         self._at, self.deadline = self.deadline, None
-        self.num_late += self.asked is not None
         action = self._newest if self._fresh or self._named is None else self._named
         self._fresh = False
-        return (), self._delayed(action)
+        return (), self._delayed(action, late=self.asked is not None)
 
     def reset(self) -> None:
         """Forget all calls: the episode is void, or the agent was lost."""
         self.asked = self.deadline = None
         self._waiting.clear()
 
-    def _delayed(self, action: Any) -> Any:
-        self._line.append(action)
-        return self._line.popleft()
+    def _delayed(self, action: Any, late: bool) -> Any:
+        self._line.append((action, late))
+        action, late = self._line.popleft()
+        self.num_late += late
+        return action

@@ -16,8 +16,7 @@ from glue.errors import ConfigError
 
 if TYPE_CHECKING:
     from glue.gym.client import GlueEnv, connect, connect_vec, wrap
-    from glue.gym.games import game_class
-    from glue.gym.served import GymnasiumEnvironment, environment_class
+    from glue.gym.served import GymnasiumEnvironment, environment_class, game_class
 
 __all__ = [
     "GlueEnv",
@@ -31,8 +30,7 @@ __all__ = [
 
 _HOMES: Final = {
     "glue.gym.client": ("GlueEnv", "connect", "connect_vec", "wrap"),
-    "glue.gym.games": ("game_class",),
-    "glue.gym.served": ("GymnasiumEnvironment", "environment_class"),
+    "glue.gym.served": ("GymnasiumEnvironment", "environment_class", "game_class"),
 }
 
 

@@ -18,9 +18,7 @@ from glue.client.players import serve_agent
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, SimulatorError, TaskSpecError
-from glue.gym.codec import Codec, SpaceLike
-from glue.gym.masks import MaskCodec
-from glue.gym.spaces import read_spaces
+from glue.gym.spaces import Codec, MaskCodec, SpaceLike, read_spaces
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.roles import Agent, Environment
 from glue.system import threads
@@ -83,7 +81,7 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
 
     Its spaces are read from the task spec; see `glue.gym.spaces.read_spaces`. A reset with a seed is an
     RL_init with that seed, from which the environment's own seed is derived. An info has the extras of the
-    observation and, in a task with masks, the `action_mask`; see `glue.gym.masks`.
+    observation and, in a task with masks, the `action_mask`; see `glue.gym.spaces`.
 
     Args:
         glue: the experiment; it is closed with the environment.

@@ -15,18 +15,15 @@ import numpy as np
 import numpy.typing as npt
 
 from glue.errors import ConfigError
+from glue.installed import needing
 from glue.roles import Agent
 
 # Imported first, because it needs Gymnasium itself: the message names the extra that installs both.
-try:
+with needing("sb3", "this needs Stable-Baselines3"):
     import stable_baselines3
     from stable_baselines3.common.vec_env import VecEnv
-except ImportError:
-    raise ConfigError("this needs Stable-Baselines3: pip install 'glue-rl[sb3]'") from None
 
-from glue.gym.codec import Codec
-from glue.gym.masks import MaskCodec
-from glue.gym.spaces import read_spaces
+from glue.gym.spaces import Codec, MaskCodec, read_spaces
 from glue.gym.vectors import AutoresetMode, infos_of_step, split
 from glue.options import Option
 from glue.taskspec import parse_task_spec
@@ -206,8 +203,6 @@ def _algorithm(name: str) -> Any:
     """Return the class of an algorithm."""
     if name != _MASKED:
         return getattr(stable_baselines3, name)
-    try:
+    with needing("sb3", "MaskablePPO needs sb3-contrib"):
         import sb3_contrib
-    except ImportError:
-        raise ConfigError("MaskablePPO needs sb3-contrib: pip install 'glue-rl[sb3]'") from None
     return sb3_contrib.MaskablePPO

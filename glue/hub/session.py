@@ -24,7 +24,7 @@ from glue.pace import Pace
 from glue.types import BESIDE_AT, CUT_OFF, NOTHING_BESIDE, PREFIX_SIZE, Action
 from glue.wire.beside import beside_without, readable, readable_by_agent
 from glue.wire.codec import clip
-from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import CALLS, OUTCOME, PACE, ErrorCode, Event, Kind, Message, Role
 
 _CALLEES: Final = {kind: call.callee for kind, call in CALLS.items()}
 _ALWAYS: Final = frozenset(
@@ -40,6 +40,7 @@ _AGENT_START: Final = Kind.AGENT_START
 _ERROR: Final = Kind.ERROR
 _RL_ENV_START: Final = Kind.RL_ENV_START
 _RL_ENV_STEP: Final = Kind.RL_ENV_STEP
+_RL_EPISODE: Final = Kind.RL_EPISODE
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
@@ -460,8 +461,10 @@ class Session:
                 body = readable(body[0], reads) + body[1]
             elif kind is _RL_ENV_STEP or kind is _RL_ENV_START:
                 body = readable(body, reads)
-            if kind is Kind.RL_EPISODE and experiment is not None and OUTCOME in experiment.capabilities:
+            if kind is _RL_EPISODE and OUTCOME in reads:
                 scalars += (self._engine.total_reward, self._engine.num_steps)
+            if self._pacer is not None and kind is Kind.RL_NUM_STEPS and PACE in reads:
+                scalars += (self._pacer.num_late,)
             reply = _message(Message, (kind, self.name, self._request_seq, scalars, body or b""))
             self._answer_experiment(reply)
             return
@@ -510,7 +513,7 @@ class Session:
         """Make the call to the agent whose turn it is, if it is free."""
         assert self._pacer is not None
         agent = self.peers[Role.AGENT]
-        call = self._pacer.next_call(self._host.now, "pace" in agent.capabilities)
+        call = self._pacer.next_call(self._host.now, PACE in agent.capabilities)
         if self._pacer.asked is None:
             self._paced = None
         if self._due:

@@ -26,6 +26,7 @@ from glue.wire.messages import (
     BESIDE,
     CALLS,
     OUTCOME,
+    PACE,
     PROTOCOL_VERSION,
     ErrorCode,
     Event,
@@ -284,9 +285,10 @@ class Sessions:
             config.timeout,
             config.max_body,
         )
-        beside = sorted(_offered(message) & BESIDE)
-        if beside:
-            welcome += (tuple(beside),)
+        paced = config.pace and message.scalars[1] != Role.AGENT
+        holds = sorted(_offered(message) & (BESIDE | {PACE} if paced else BESIDE))
+        if holds:
+            welcome += (tuple(holds),)
         self.send(channel, Message(Kind.WELCOME, message.session, message.seq, welcome))
 
     def _greet_observer(

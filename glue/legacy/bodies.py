@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 from array import array
-from collections.abc import Callable, Mapping
-from typing import Final, NamedTuple
+from collections.abc import Mapping
+from typing import Final
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.types import body_size
@@ -25,37 +25,47 @@ _THEIR_COUNTS: Final = struct.Struct(">3I")
 _OUR_COUNTS: Final = struct.Struct("<4I")
 
 
-class BodyForm(NamedTuple):
-    """Functions that read and write one kind of body.
+class BodyForm:
+    """One kind of body in both formats; this class itself is that of messages without one.
 
-    Args:
-        read: takes a payload and an offset; returns our body, and the offset after it.
-        write: takes our body; returns its bytes in a payload.
+    Attributes:
+        latest: a body in their format and in ours, the latest or an empty one. A payload that has theirs at
+            an offset has ours there, so callers compare first, and call `read` or `write` if it differs.
         largest: maximum size in a payload, in bytes.
     """
 
-    read: Callable[[bytes, int], tuple[bytes, int]]
-    write: Callable[[bytes], bytes]
-    largest: int
+    latest: tuple[bytes, bytes] = b"", b""
+    largest: int = 0
+
+    def read(self, payload: bytes, offset: int) -> tuple[bytes, int]:
+        """Return our body in a payload, and the offset after it."""
+        return b"", offset
+
+    def write(self, body: bytes) -> bytes:
+        """Return the bytes of our body in a payload."""
+        return b""
 
 
-def _read_text(payload: bytes, offset: int) -> tuple[bytes, int]:
-    start = offset + _COUNT.size
-    if start > len(payload):
-        raise too_short(_COUNT.size, payload, offset)
-    (count,) = _COUNT.unpack_from(payload, offset)
-    if count > MAX_STRING:
-        raise RemoteProtocolError(f"a text has at most {MAX_STRING} bytes; {count} are announced")
-    if start + count > len(payload):
-        raise too_short(count, payload, start)
-    return payload[start : start + count], start + count
+class _Text(BodyForm):
+    latest = _COUNT.pack(0), b""
+    largest = _COUNT.size + MAX_STRING
 
+    def read(self, payload: bytes, offset: int) -> tuple[bytes, int]:
+        start = offset + _COUNT.size
+        if start > len(payload):
+            raise too_short(_COUNT.size, payload, offset)
+        (count,) = _COUNT.unpack_from(payload, offset)
+        if count > MAX_STRING:
+            raise RemoteProtocolError(f"a text has at most {MAX_STRING} bytes; {count} are announced")
+        if start + count > len(payload):
+            raise too_short(count, payload, start)
+        return payload[start : start + count], start + count
 
-def _write_text(text: bytes) -> bytes:
-    text = until_zero(text)
-    if len(text) > MAX_STRING:
-        raise LocalProtocolError(f"a text has at most {MAX_STRING} bytes; this one has {len(text)}")
-    return _COUNT.pack(len(text)) + text
+    def write(self, body: bytes) -> bytes:
+        text = until_zero(body)
+        if len(text) > MAX_STRING:
+            raise LocalProtocolError(f"a text has at most {MAX_STRING} bytes; this one has {len(text)}")
+        return _COUNT.pack(len(text)) + text
 
 
 def until_zero(text: bytes) -> bytes:
@@ -63,20 +73,19 @@ def until_zero(text: bytes) -> bytes:
     return text.partition(b"\0")[0]
 
 
-class _Type:
-    """One abstract type in both formats.
+class _Type(BodyForm):
+    """One abstract type.
 
     The latest value is cached: an environment's observation is written for the agent right after it was
     read, and an action is often the same as in the previous step.
     """
 
-    def __init__(self) -> None:
-        self.latest = b"", b""  # in their format and in ours
+    latest = _THEIR_COUNTS.pack(0, 0, 0), _OUR_COUNTS.pack(0, 0, 0, 0)
+    largest = _THEIR_COUNTS.size + (4 + 8 + 1) * MAX_COUNT
 
     def read(self, payload: bytes, offset: int) -> tuple[bytes, int]:
-        """Return our body of a type in a payload, and the offset after it."""
         theirs, ours = self.latest
-        if payload.startswith(theirs, offset) and theirs:
+        if payload.startswith(theirs, offset):
             return ours, offset + len(theirs)
         at_ints = offset + _THEIR_COUNTS.size
         if at_ints > len(payload):
@@ -101,9 +110,8 @@ class _Type:
         return body, end
 
     def write(self, body: bytes) -> bytes:
-        """Return the bytes of our body in a payload."""
         theirs, ours = self.latest
-        if body == ours and ours:
+        if body == ours:
             return theirs
         size = body_size(body)
         if size != len(body):
@@ -133,25 +141,29 @@ _OBSERVATION: Final = _Type()
 _ACTION: Final = _Type()
 
 
-def _read_two_types(payload: bytes, offset: int) -> tuple[bytes, int]:
-    observation, offset = _OBSERVATION.read(payload, offset)
-    action, offset = _ACTION.read(payload, offset)
-    return observation + action, offset
+class _TwoTypes(BodyForm):
+    """An observation and an action."""
 
+    latest = 2 * _Type.latest[0], 2 * _Type.latest[1]
+    largest = 2 * _Type.largest
 
-def _write_two_types(body: bytes) -> bytes:
-    observation, our_observation = _OBSERVATION.latest
-    action, our_action = _ACTION.latest
-    # Both have usually just been read. A body's counts come first: nothing longer can begin with it.
-    if (
-        our_action
-        and len(body) == len(our_observation) + len(our_action)
-        and body.startswith(our_observation)
-        and body.endswith(our_action)
-    ):
-        return observation + action
-    size = body_size(body)
-    return _OBSERVATION.write(body[:size]) + _ACTION.write(body[size:])
+    def read(self, payload: bytes, offset: int) -> tuple[bytes, int]:
+        observation, offset = _OBSERVATION.read(payload, offset)
+        action, offset = _ACTION.read(payload, offset)
+        return observation + action, offset
+
+    def write(self, body: bytes) -> bytes:
+        observation, our_observation = _OBSERVATION.latest
+        action, our_action = _ACTION.latest
+        # Both have usually just been read. A body's counts come first: nothing longer can begin with it.
+        if (
+            len(body) == len(our_observation) + len(our_action)
+            and body.startswith(our_observation)
+            and body.endswith(our_action)
+        ):
+            return observation + action
+        size = body_size(body)
+        return _OBSERVATION.write(body[:size]) + _ACTION.write(body[size:])
 
 
 def _reversed(typecode: str, run: bytes) -> bytes:
@@ -176,11 +188,10 @@ def too_short(needed: int, payload: bytes, offset: int) -> RemoteProtocolError:
     return RemoteProtocolError(f"{needed} more bytes were expected at byte {offset}; {left} are left")
 
 
-_LARGEST_TYPE: Final = _THEIR_COUNTS.size + (4 + 8 + 1) * MAX_COUNT
 BODIES: Final[Mapping[Body, BodyForm]] = {
-    Body.NONE: BodyForm(lambda _, offset: (b"", offset), lambda _: b"", 0),
-    Body.OBSERVATION: BodyForm(_OBSERVATION.read, _OBSERVATION.write, _LARGEST_TYPE),
-    Body.ACTION: BodyForm(_ACTION.read, _ACTION.write, _LARGEST_TYPE),
-    Body.OBSERVATION_ACTION: BodyForm(_read_two_types, _write_two_types, 2 * _LARGEST_TYPE),
-    Body.TEXT: BodyForm(_read_text, _write_text, _COUNT.size + MAX_STRING),
+    Body.NONE: BodyForm(),
+    Body.OBSERVATION: _OBSERVATION,
+    Body.ACTION: _ACTION,
+    Body.OBSERVATION_ACTION: _TwoTypes(),
+    Body.TEXT: _Text(),
 }

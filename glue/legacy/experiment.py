@@ -9,7 +9,7 @@ from typing import Final
 
 from glue.engine.engine import EPISODE_VERBS
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.legacy.codec import TO_EXPERIMENT, Control, Frame, encode
+from glue.legacy.codec import FROM_EXPERIMENT, TO_EXPERIMENT, Control, Frame, encode
 from glue.legacy.peers import LegacyPeer
 from glue.legacy.states import EXPERIMENT, ExperimentEvent, ExperimentState
 from glue.types import Action, body_size
@@ -17,7 +17,11 @@ from glue.wire.messages import Event, Kind, Message
 
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _IDLE: Final = ExperimentState.IDLE
+_WAITING: Final = EXPERIMENT[_IDLE][ExperimentEvent.REQUEST]
+_REPLIED: Final = EXPERIMENT[_WAITING][ExperimentEvent.REPLY]
 _RL_STEP: Final = Kind.RL_STEP
+_STEP: Final = encode(Frame(_RL_STEP), FROM_EXPERIMENT)
+_NO_SCALARS: Final = ()
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
@@ -61,8 +65,8 @@ class LegacyExperiment(LegacyPeer):
     def _take(self, message: Message) -> bool:
         if self._state is ExperimentState.GONE:
             return False
-        kind, request = message.kind, self._request
-        waiting = ExperimentEvent.REPLY in EXPERIMENT[self._state]
+        kind, request = message[0], self._request
+        waiting = self._state is _WAITING or ExperimentEvent.REPLY in EXPERIMENT[self._state]
         if waiting and request is not None and message.seq == request.seq:
             if kind is request.kind:
                 self._reply(message)
@@ -97,7 +101,7 @@ class LegacyExperiment(LegacyPeer):
             self._on(ExperimentEvent.FAILURE)
             self._reset_later(str(error))
             return
-        self._on(ExperimentEvent.REPLY)
+        self._state = _REPLIED if self._state is _WAITING else EXPERIMENT[self._state][ExperimentEvent.REPLY]
         self._connection.send(frame)
         if kind is _RL_STEP:
             self._loop.expect(self._connection)  # the next request soon follows
@@ -142,6 +146,17 @@ class LegacyExperiment(LegacyPeer):
     def _take_up(self, now: float) -> None:
         """Start at most one request, so that every session gets its turn, and receive more data."""
         connection, decoder = self._connection, self._decoder
+        data = None
+        if self._is_free and not (decoder.buffered or self._ahead or self._closed):
+            data = connection.receive()
+            if data == _STEP and not decoder.overhang:  # the usual case
+                self._seq += 1
+                self._sends_ahead = False
+                self._state = _WAITING
+                self._request = _message(Message, (_RL_STEP, self._session, self._seq, _NO_SCALARS, b""))
+                self._sessions.receive(self, self._request, now)
+                connection.read(True)
+                return
         if self._state is ExperimentState.RETRYING:
             assert self._request is not None
             self._seq += 1
@@ -150,7 +165,8 @@ class LegacyExperiment(LegacyPeer):
         early = request is not None and self._request is not None
         if request is None:
             # Only now, so that requests made before the connection was closed are executed.
-            data = connection.receive() if not (self._closed and self._is_free) else b""
+            if data is None:
+                data = connection.receive() if not (self._closed and self._is_free) else b""
             if data:
                 decoder.receive_data(data)
                 request = self._next_request()

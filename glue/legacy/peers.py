@@ -14,6 +14,7 @@ from glue.hub.config import LegacyPort
 from glue.hub.io.connection import Connection
 from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.legacy.codec import (
+    HEAD_SIZE,
     TO_AGENT,
     TO_ENVIRONMENT,
     Decoder,
@@ -39,6 +40,8 @@ _BUSY: Final = PlayerState.BUSY
 _GONE: Final = PlayerState.GONE
 _CALL: Final = PlayerEvent.CALL
 _ANSWER: Final = PlayerEvent.ANSWER
+_CALLED: Final = PLAYER[_IDLE][_CALL]
+_ANSWERED: Final = PLAYER[_BUSY][_ANSWER]
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
@@ -167,7 +170,10 @@ class LegacyPlayer(LegacyPeer):
         state, kind = self._state, message[0]
         if state is _GONE:
             return False
-        if kind in CALLS:
+        if state is _IDLE and kind in CALLS:
+            self._state = _CALLED
+            self._ask(message)
+        elif kind in CALLS:
             if state is not _BUSY or message[2] != self._seq:  # else the call under way is repeated
                 self._state = state = PLAYER[state][_CALL]
                 if state is _BUSY:
@@ -211,12 +217,23 @@ class LegacyPlayer(LegacyPeer):
             substitute, self._substitute = self._substitute, None
             self._finish_call(substitute, now)
         data = connection.receive()
+        kind = self._asked
+        if data and kind is not None and self._state is _BUSY:
+            content = decoder.answer(data, kind)
+            if content is not None:  # the usual case
+                self._asked = None
+                self._state = _ANSWERED
+                message = _message(Message, (kind, self._session, self._seq, *content))
+                self._sessions.receive(self, message, now)
+                return
         if data:
             decoder.receive_data(data)
         try:
             while decoder.buffered and self._state is not _GONE:
                 answer = decoder.next_event()
                 if answer is None:
+                    if data and decoder.buffered == HEAD_SIZE:
+                        self._loop.expect(connection)  # the payload soon follows
                     break
                 if answer[0] is not self._asked:
                     asked = "nothing" if self._asked is None else self._asked.name

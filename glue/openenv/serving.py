@@ -26,7 +26,7 @@ from pydantic import BaseModel, Field, create_model
 from glue.console import say
 from glue.errors import ConfigError
 from glue.gym.client import GlueEnv, wrap
-from glue.gym.codec import SpaceLike
+from glue.gym.spaces import SpaceLike
 from glue.hub.config import is_local
 from glue.roles import Environment
 
@@ -95,12 +95,7 @@ def application(
     """
     model = _Models(make, name)
     app = create_fastapi_app(
-        model.environment,
-        model.action,
-        model.observation,
-        MAX_SESSIONS,
-        env_name=name,
-        mode="simulation",
+        model.environment, model.action, model.observation, MAX_SESSIONS, env_name=name, mode="simulation"
     )
     # Sessions over MCP have no connection whose end would end them, and environments of ours have no tools.
     app.router.routes[:] = [route for route in app.routes if getattr(route, "path", None) != "/mcp"]

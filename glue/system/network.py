@@ -45,6 +45,7 @@ __all__ = [
     "SO_ERROR",
     "SO_KEEPALIVE",
     "SO_LINGER",
+    "SO_REUSEPORT",
     "TCP_NODELAY",
     "Poller",
     "PortablePoller",
@@ -61,6 +62,9 @@ __all__ = [
 
 AF_UNIX: Final[int] = getattr(_socket, "AF_UNIX", -1)
 """Address family of Unix sockets; -1, which no socket has, on systems without them."""
+
+SO_REUSEPORT: Final[int] = getattr(_socket, "SO_REUSEPORT", -1)
+"""Option by which sockets of one user share a port; -1 on systems without it."""
 
 
 class PortablePoller:

@@ -28,7 +28,7 @@ class NoAnswer(GlueError):
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a server has answered.
+    """The answer of a server.
 
     Args:
         status: of HTTP.

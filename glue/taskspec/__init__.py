@@ -13,9 +13,8 @@ Source: RL-Glue 3.0 task spec language; for Mario-v1, RL-Competition 2009.
 from __future__ import annotations
 
 from glue.taskspec.masks import legal_values, mask_sizes
-from glue.taskspec.parser import parse_task_spec
+from glue.taskspec.parser import MARIO, MAX_LENGTH, RL_GLUE_3, TaskSpec, parse_task_spec
 from glue.taskspec.space import NEGINF, POSINF, UNSPEC, Bound, Range, Ranges, Space
-from glue.taskspec.spec import MARIO, MAX_LENGTH, RL_GLUE_3, TaskSpec
 
 __all__ = [
     "MARIO",

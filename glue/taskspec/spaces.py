@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from glue.errors import TaskSpecError
+from glue.taskspec.parser import RL_GLUE_3, TaskSpec
 from glue.taskspec.space import MAX_COUNT, Bound, Range, Ranges, Run, Space
-from glue.taskspec.spec import RL_GLUE_3, TaskSpec
 
 
 def Discrete(n: int, start: int = 0) -> Space:

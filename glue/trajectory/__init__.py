@@ -17,10 +17,8 @@ a writer that is killed leaves all complete episodes behind.
 """
 
 from glue.trajectory.limits import MAX_BODY, MAX_EPISODE, MAX_STEPS, MAX_TEXT
-from glue.trajectory.reader import TrajectoryReader
-from glue.trajectory.records import MAGIC, Answer, Ending, Episode, Run
-from glue.trajectory.steps import ActionSteps, Block, Transition
-from glue.trajectory.unpacked import TrajectoryError
+from glue.trajectory.reader import TrajectoryError, TrajectoryReader
+from glue.trajectory.records import MAGIC, ActionSteps, Answer, Block, Ending, Episode, Run, Transition
 from glue.trajectory.writer import ActionWriter, TrajectoryWriter
 
 __all__ = [

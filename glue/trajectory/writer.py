@@ -14,26 +14,8 @@ import numpy as np
 
 from glue.closing import Closing
 from glue.errors import LocalProtocolError
-from glue.trajectory import limits
-from glue.trajectory.records import (
-    ANSWER,
-    BEGIN,
-    BLOCK,
-    COUNTS,
-    END_OF,
-    MAGIC,
-    MESSAGE,
-    REWARD,
-    START,
-    STEP,
-    TERMINAL_STEP,
-    Ending,
-    Run,
-    run_record,
-    text_record,
-    width,
-)
-from glue.trajectory.unpacked import GZIP, TrajectoryError
+from glue.trajectory import limits, records
+from glue.trajectory.reader import GZIP, TrajectoryError
 from glue.types import AbstractType, Action, Observation
 
 _NO_EPISODE: Final = "no episode is open: a recording needs start() before its steps"
@@ -58,23 +40,23 @@ class _Writer:
         self._has_run = False
         self._in_episode = False
         self._size = 0  # bytes of the episode's records
-        self._write(MAGIC)
+        self._write(records.MAGIC)
 
-    def run(self, run: Run) -> None:
+    def run(self, run: records.Run) -> None:
         """Record the environment that the following episodes come from. Cuts off an open episode.
 
         Raises:
             LocalProtocolError: the options are not plain values, the run takes more than `MAX_TEXT`, or
                 the recording is closed.
         """
-        record = run_record(run)
-        self._end(Ending.CUTOFF)
+        record = records.run_record(run)
+        self._end(records.Ending.CUTOFF)
         self._write(record)
         self._has_run = True
 
     def close(self) -> None:
         """Void the open episode and complete the recording."""
-        self._end(Ending.VOID)
+        self._end(records.Ending.VOID)
         self._send(self._pack.flush())
 
     def _begin(self, record: bytes) -> None:
@@ -82,10 +64,10 @@ class _Writer:
         self._grow(record)
         self._in_episode = True
 
-    def _end(self, ending: Ending) -> None:
+    def _end(self, ending: records.Ending) -> None:
         if self._in_episode:
             self._in_episode = False
-            self._write(END_OF[ending])
+            self._write(records.END_OF[ending])
 
     def _needs_run(self) -> None:
         if not self._has_run:
@@ -126,7 +108,7 @@ class TrajectoryWriter(_Writer, Closing):
         super().__init__(self._store)
         self._flush()
 
-    def run(self, run: Run) -> None:
+    def run(self, run: records.Run) -> None:
         if self._file.closed:
             raise LocalProtocolError("the recording is closed")
         super().run(run)
@@ -143,7 +125,7 @@ class TrajectoryWriter(_Writer, Closing):
         self._needs_run()
         if len(self._messages) == limits.MAX_STEPS:
             raise LocalProtocolError(f"more than {limits.MAX_STEPS} messages in a row cannot be recorded")
-        self._messages.append(text_record(MESSAGE, text))
+        self._messages.append(records.text_record(records.MESSAGE, text))
 
     def answer(self, message: str, answer: str) -> None:
         """Record the agent's answer to a message at the start or step that is recorded next.
@@ -155,7 +137,7 @@ class TrajectoryWriter(_Writer, Closing):
         self._needs_run()
         if self._answered + len(self._answers) == limits.MAX_STEPS:
             raise LocalProtocolError(f"more than {limits.MAX_STEPS} answers in an episode cannot be recorded")
-        self._answers.append(text_record(ANSWER, message) + text_record(b"", answer))
+        self._answers.append(records.text_record(records.ANSWER, message) + records.text_record(b"", answer))
 
     def start(self, observation: Observation) -> None:
         """Begin an episode. Cuts off an open one.
@@ -165,15 +147,19 @@ class TrajectoryWriter(_Writer, Closing):
         """
         self._needs_run()
         self.cutoff()
-        record = b"".join((*self._messages, *self._answers, START, _body_of(observation)))
+        record = b"".join((*self._messages, *self._answers, records.START, _body_of(observation)))
         self._messages.clear()
         self._steps = 0
         self._answered = len(self._answers)
         self._answers.clear()
         self._begin(record)
 
-    def step(self, action: Action, reward: float, observation: Observation, terminal: bool) -> None:
+    def step(
+        self, action: Action, reward: float, observation: Observation, terminal: bool, *, late: bool = False
+    ) -> None:
         """Record a step of the open episode; a terminal step ends it.
+
+        `late` says that the action was late (see `glue.pace`).
 
         Raises:
             LocalProtocolError: no episode is open, or a limit of `glue.trajectory.limits` is exceeded.
@@ -183,8 +169,8 @@ class TrajectoryWriter(_Writer, Closing):
         if self._steps == limits.MAX_STEPS:
             raise LocalProtocolError(f"an episode of more than {limits.MAX_STEPS} steps cannot be recorded")
         self._steps += 1
-        kind = TERMINAL_STEP if terminal else STEP
-        fields = (REWARD.pack(reward), _body_of(action), _body_of(observation))
+        kind = (records.LATE if late else b"") + (records.TERMINAL_STEP if terminal else records.STEP)
+        fields = (records.REWARD.pack(reward), _body_of(action), _body_of(observation))
         self._grow(b"".join((*self._answers, kind, *fields)))
         self._answered += len(self._answers)
         self._answers.clear()
@@ -194,11 +180,11 @@ class TrajectoryWriter(_Writer, Closing):
 
     def cutoff(self) -> None:
         """End the open episode without a terminal step. Nothing happens if none is open."""
-        self._end(Ending.CUTOFF)
+        self._end(records.Ending.CUTOFF)
 
     def void(self) -> None:
         """End the open episode as one that does not count. Nothing happens if none is open."""
-        self._end(Ending.VOID)
+        self._end(records.Ending.VOID)
 
     def close(self) -> None:
         """Void the open episode and close the file. May be called twice."""
@@ -206,7 +192,7 @@ class TrajectoryWriter(_Writer, Closing):
             super().close()
             self._shut()
 
-    def _end(self, ending: Ending) -> None:
+    def _end(self, ending: records.Ending) -> None:
         if self._in_episode:
             super()._end(ending)
             self._flush()
@@ -248,6 +234,7 @@ class ActionWriter(_Writer):
         self._actions: dict[bytes, int] = {}
         self._actions_size = 0
         self._choices = array("I")
+        self._late = bytearray()  # 1 for each late step
         self._rewards = array("d")
 
     def start(self) -> None:
@@ -257,11 +244,11 @@ class ActionWriter(_Writer):
             LocalProtocolError: there is no run yet.
         """
         self._needs_run()
-        self.end(Ending.CUTOFF)
-        self._begin(BEGIN)
+        self.end(records.Ending.CUTOFF)
+        self._begin(records.BEGIN)
 
-    def step(self, action: bytes, reward: float) -> None:
-        """Add a step of the open episode: the body of its action, and its reward.
+    def step(self, action: bytes, reward: float, *, late: bool = False) -> None:
+        """Add a step of the open episode: the body of its action, and its reward; `late` as in a recording.
 
         Raises:
             LocalProtocolError: no episode is open, or the episode exceeds a limit of a recording.
@@ -281,24 +268,25 @@ class ActionWriter(_Writer):
         if choice is None:
             choice = self._actions[action] = len(self._actions)
             self._actions_size += len(action)
+        self._late.append(late)
         self._choices.append(choice)
         self._rewards.append(reward)
 
-    def end(self, ending: Ending) -> None:
+    def end(self, ending: records.Ending) -> None:
         """End the open episode. Nothing happens if none is open."""
         self._end(ending)
 
-    def _end(self, ending: Ending) -> None:
+    def _end(self, ending: records.Ending) -> None:
         self._end_block()
         super()._end(ending)
 
     def _end_block(self) -> None:
         if self._choices:
-            self._grow(_block_record(tuple(self._actions), self._choices, self._rewards))
+            self._grow(_block_record(tuple(self._actions), self._choices, self._rewards, bytes(self._late)))
             self._open = 0
             self._actions.clear()
             self._actions_size = 0
-            del self._choices[:], self._rewards[:]
+            del self._choices[:], self._rewards[:], self._late[:]
 
 
 def _body_of(value: AbstractType) -> bytes:
@@ -310,16 +298,20 @@ def _body_of(value: AbstractType) -> bytes:
     return body
 
 
-def _block_record(actions: tuple[bytes, ...], choices: array[int], rewards: array[float]) -> bytes:
+def _block_record(
+    actions: tuple[bytes, ...], choices: array[int], rewards: array[float], late: bytes
+) -> bytes:
     # Compared by their bits: 0.0 and -0.0 are two rewards.
     bits, paid = np.unique(np.array(rewards, np.float64).view(np.uint64), return_inverse=True)
+    marks = np.packbits(np.frombuffer(late, np.uint8), bitorder="little").tobytes() if any(late) else b""
     return b"".join(
         (
-            BLOCK,
-            COUNTS.pack(len(choices), len(actions), len(bits)),
+            records.LATE_BLOCK if marks else records.BLOCK,
+            records.COUNTS.pack(len(choices), len(actions), len(bits)),
             *actions,
             bits.astype("<u8").tobytes(),
-            np.array(choices, width(len(actions))).tobytes(),
-            paid.astype(width(len(bits))).tobytes(),
+            np.array(choices, records.width(len(actions))).tobytes(),
+            paid.astype(records.width(len(bits))).tobytes(),
+            marks,
         )
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container
 
-from glue.types import beside_sizes, without_beside
+from glue.types import BESIDE_AT, NOTHING_BESIDE, beside_sizes, without_beside
 from glue.wire.messages import EXTRAS, MASK, Message
 
 
@@ -18,6 +18,8 @@ def beside_without(body: bytes, capabilities: Container[str]) -> str:
 
 def readable(body: bytes, capabilities: Container[str]) -> bytes:
     """Return the body of an observation without what a peer with these capabilities does not read."""
+    if body.startswith(NOTHING_BESIDE, BESIDE_AT):
+        return body  # the usual case
     return without_beside(body, mask=MASK not in capabilities, extras=EXTRAS not in capabilities)
 
 

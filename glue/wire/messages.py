@@ -34,6 +34,9 @@ Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, .
 OUTCOME: Final = "outcome"
 """Capability of an experiment that accepts the return and number of steps with the end of an episode."""
 
+PACE: Final = "pace"
+"""Capability of an agent that is told its time, and of an experiment that is told of late actions."""
+
 MASK: Final = "mask"
 """Capability of a peer that sends or reads masks of the legal actions."""
 
@@ -253,7 +256,7 @@ CALLS: Final[Mapping[Kind, Call]] = MappingProxyType(
             None, Shape((Scalar("max_steps", int),)), Shape((_TERMINAL,), more=(_RETURN, _NUM_STEPS))
         ),
         Kind.RL_RETURN: Call(None, _EMPTY, Shape((_RETURN,))),
-        Kind.RL_NUM_STEPS: Call(None, _EMPTY, Shape((_NUM_STEPS,))),
+        Kind.RL_NUM_STEPS: Call(None, _EMPTY, Shape((_NUM_STEPS,), more=(Scalar("late", int),))),
         Kind.RL_NUM_EPISODES: Call(None, _EMPTY, Shape((Scalar("num_episodes", int),))),
         Kind.RL_AGENT_MESSAGE: Call(None, _TEXT, _TEXT),
         Kind.RL_ENV_MESSAGE: Call(None, _TEXT, _TEXT),

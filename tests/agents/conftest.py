@@ -8,12 +8,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from agents.mario.monsters import THREATS_2010
-from agents.mario.objects import look
+from agents.mario.objects import THREATS_2010, Object, Scene, Senses, look, set_senses
 from agents.mario.observation import Screen
-from agents.mario.scene import Object, Scene, Senses, set_senses
 from agents.mohan2010.learner import MarioLearner
-from agents.policy import extend, feature
+from agents.sarsa import extend, feature
 from glue.compiled.records import new
 from glue.saves import unpack
 from glue.types import Observation

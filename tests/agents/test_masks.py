@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from agents.baselines import RandomAgent
-from agents.choosing import epsilon_greedy
 from agents.linear import LinearAgent
 from agents.mario.agent import ACTIONS, legal_actions
 from agents.network.agent import NetworkAgent
-from agents.tabular import SarsaAgent
+from agents.tabular import SarsaAgent, epsilon_greedy
 from env_server.toys import MinesEnvironment
 from glue.engine.local import local
 from glue.errors import RemoteProtocolError

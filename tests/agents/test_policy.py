@@ -8,8 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from agents.policy import Chooser, below, epsilon_greedy, mix, seeded, uniform
-from agents.sarsa import Learner
+from agents.sarsa import Chooser, Learner, below, epsilon_greedy, mix, seeded, uniform
 from glue.compiled.records import Array, new
 
 DRAWS = 4000

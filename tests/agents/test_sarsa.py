@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.policy import extend, feature
 from agents.sarsa import (
     Keys,
     Learner,
     Taken,
     action_values,
     contents,
+    extend,
+    feature,
     grown,
     has_room,
     sum_of_values,

@@ -116,3 +116,45 @@ PYTHON: Final = Language("python", {}, (), (), {each: (*_PEER, each) for each in
 """Our own library, for comparison."""
 
 LANGUAGES: Final = (JAVASCRIPT, CPP, JAVA, RUST)
+
+
+OWN: Final = {
+    "cpp": (
+        "agent.cpp",
+        ("g++", "-std=c++17", f"-I{CLIENTS / 'cpp/include'}", "agent.cpp"),
+        ("./a.out",),
+    ),
+    "java": ("Walker.java", (), ("java", "-cp", str(CLIENTS / "java/build/glue-rl.jar"), "Walker.java")),
+    "javascript": ("agent.mjs", (), ("node", "agent.mjs")),
+    "rust": ("main.rs", ("cargo", "build", "--quiet", "--offline"), ("target/debug/walker",)),
+}
+"""For each language the file of one's own program, the command that builds it, and the one that starts it."""
+
+_MANIFEST: Final = f"""\
+[package]
+name = "walker"
+version = "0.1.0"
+edition = "2021"
+
+[[bin]]
+name = "walker"
+path = "main.rs"
+
+[dependencies]
+glue-rl = {{ path = "{CLIENTS / "rust"}" }}
+"""
+
+
+def own_program(language: Language, code: str, folder: Path) -> Sequence[str]:
+    """Write and build a program in an empty folder; return the command that starts it there.
+
+    In Java its class is Walker.
+    """
+    file, build, start = OWN[language.name]
+    (folder / file).write_text(code)
+    (folder / "Cargo.toml").write_text(_MANIFEST)
+    (folder / "node_modules").mkdir()
+    (folder / "node_modules" / "glue-rl").symlink_to(CLIENTS / "javascript")
+    if build:
+        run(build, folder)
+    return start

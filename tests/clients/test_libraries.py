@@ -15,9 +15,19 @@ from typing import Final
 import pytest
 
 from env_server.toys import SkeletonEnvironment
-from glue import connect
+from glue import Action, Observation, Step, connect
 from glue.wire.messages import THREE_ROLES, Role
-from tests.clients.languages import CLIENTS, CPP, JAVASCRIPT, LANGUAGES, RUST, Language, run
+from tests.clients.languages import (
+    CLIENTS,
+    CPP,
+    JAVASCRIPT,
+    LANGUAGES,
+    OWN,
+    RUST,
+    Language,
+    own_program,
+    run,
+)
 from tests.clients.table import SECONDS, program
 from tests.hubs import hub_with
 from tests.pages import DOCS, blocks
@@ -45,7 +55,7 @@ def test_kit_finds_no_fault(language: Language, role: Role) -> None:
     lines = done.stdout.splitlines()
     unjudged = [before for before, line in pairwise(lines) if line.strip().startswith("not judged")]
     # Players have all capabilities except these; experiments ask for the return and the number of steps.
-    assert all(re.search(" (outcome|batch|pace): ", line) for line in unjudged), done.stdout
+    assert all(re.search(" (outcome|batch): ", line) for line in unjudged), done.stdout
     assert "broken" not in lines[-1]
 
 
@@ -55,38 +65,32 @@ def test_scripts_of_random_faults_find_none(language: Language, role: Role) -> N
     assert judged(role, *how, "--", *language.programs["mirror"], role).stdout == "survives (6 passed)\n"
 
 
+class Unknown(SkeletonEnvironment):
+    """Orders the mirror to do what it does not know."""
+
+    def env_step(self, action: Action) -> Step:
+        return Step(0.0, Observation(chars=b"dance"), False)
+
+
+def test_experiment_that_fails_ends(language: Language) -> None:
+    with hub_with(Unknown()) as url:
+        done = subprocess.run(
+            [*language.programs["mirror"], "experiment"],
+            env={**os.environ, "GLUE_HUB": url},
+            capture_output=True,
+            text=True,
+            timeout=SECONDS,
+        )
+
+    assert done.returncode != 0
+    assert "the mirror was ordered to do dance" in done.stdout + done.stderr
+
+
 def judged(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Return what the kit says of a client that keeps the rules."""
     done = subprocess.run([*CONFORM, *arguments], capture_output=True, text=True, timeout=KIT_SECONDS)
     assert done.returncode == 0, done.stdout + done.stderr
     return done
-
-
-FIRST: Final = {
-    "cpp": (
-        "agent.cpp",
-        ("g++", "-std=c++17", f"-I{CLIENTS / 'cpp/include'}", "agent.cpp"),
-        ("./a.out",),
-    ),
-    "java": ("Walker.java", (), ("java", "-cp", str(CLIENTS / "java/build/glue-rl.jar"), "Walker.java")),
-    "javascript": ("agent.mjs", (), ("node", "agent.mjs")),
-    "rust": ("main.rs", ("cargo", "build", "--quiet", "--offline"), ("target/debug/walker",)),
-}
-"""For each language the file of a first agent, the command that builds it, and the one that starts it."""
-
-MANIFEST: Final = f"""\
-[package]
-name = "walker"
-version = "0.1.0"
-edition = "2021"
-
-[[bin]]
-name = "walker"
-path = "main.rs"
-
-[dependencies]
-glue-rl = {{ path = "{CLIENTS / "rust"}" }}
-"""
 
 
 PAGE: Final = DOCS / "clients.md"
@@ -97,7 +101,7 @@ def code_in(page: Path, language: str) -> str:
     return blocks(page.read_text("utf-8"), language)[0].body
 
 
-@pytest.mark.parametrize("name", FIRST)
+@pytest.mark.parametrize("name", OWN)
 def test_readme_begins_with_the_first_agent_of_the_page(name: str) -> None:
     readme = CLIENTS / name / "README.md"
 
@@ -156,16 +160,8 @@ def walks(start: Sequence[str]) -> None:
 def test_first_agent_of_the_page_walks(
     language: Language, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    code = code_in(PAGE, language.name)
-    file, build, start = FIRST[language.name]
-    (tmp_path / file).write_text(code)
-    (tmp_path / "Cargo.toml").write_text(MANIFEST)
-    (tmp_path / "node_modules").mkdir()
-    (tmp_path / "node_modules" / "glue-rl").symlink_to(CLIENTS / "javascript")
     monkeypatch.chdir(tmp_path)
-    if build:
-        run(build, tmp_path)
-    walks(start)
+    walks(own_program(language, code_in(PAGE, language.name), tmp_path))
 
 
 def test_fresh_project_installs_the_tarball_and_checks_its_types(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from agents.mario.archive import Archive
+from agents.mario.best import Archive
 from env_server.mario import InfiniteMario
 from glue.errors import SaveError
 from glue.plugins.loading import find

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.policy import feature
-from agents.sarsa import table_of
+from agents.sarsa import feature, table_of
 from glue import saves
 from glue.engine.experiment import Experiment
 from glue.engine.local import local

@@ -79,10 +79,7 @@ def ranges_of(numbers: st.SearchStrategy[int] | st.SearchStrategy[float]) -> st.
     """Ranges with ends in order, any of them open or not stated."""
 
     def build(ends: tuple[float, float], low: Bound, high: Bound) -> Range:
-        return Range(
-            min(ends) if low == POSINF else low,
-            max(ends) if high == NEGINF else high,
-        )
+        return Range(min(ends) if low == POSINF else low, max(ends) if high == NEGINF else high)
 
     # The wrong infinity means the number drawn.
     lows = st.sampled_from([UNSPEC, NEGINF, POSINF, POSINF, POSINF])

@@ -654,3 +654,52 @@ def test_an_episode_of_too_many_bytes_is_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(limits, "MAX_EPISODE", 100)
     with pytest.raises(TrajectoryError):
         list(TrajectoryReader(path))
+
+
+LATE: list[list[int]] = [[], [1], [4], [2, 3], [1, 2, 3, 4]]
+
+
+@pytest.mark.parametrize("late", LATE, ids=str)
+def test_late_steps_are_marked(tmp_path: Path, late: list[int]) -> None:
+    with TrajectoryWriter(tmp_path / "late.traj") as recording:
+        recording.run(RUN)
+        recording.start(observation(0))
+        for step in range(1, 5):
+            recording.step(Action([step]), 0.5, observation(step), step == 4, late=step in late)
+    record(tmp_path / "none.traj", 1)
+
+    marked, none = read(tmp_path / "late.traj")[0], read(tmp_path / "none.traj")[0]
+    assert (list(marked.late), none.late) == (late, ())
+    assert [step for step in range(6) if marked.is_late(step)] == late
+    sizes = [len(gzip.decompress((tmp_path / f"{name}.traj").read_bytes())) for name in ("late", "none")]
+    assert sizes[0] == sizes[1] + len(late)
+
+
+@pytest.mark.parametrize("late", [*LATE, [70_000, 70_003]], ids=str)
+def test_late_steps_are_marked_without_observations(tmp_path: Path, late: list[int]) -> None:
+    pieces: list[bytes] = []
+    writer = ActionWriter(pieces.append)
+    writer.run(RUN)
+    for marks in (late, []):
+        writer.start()
+        for step in range(1, 70_010 if late and late[0] > 4 else 5):  # also in a later block
+            writer.step(Action([step % 3]).body, 0.5, late=step in marks)
+        writer.end(Ending.CUTOFF)
+    writer.close()
+    path = tmp_path / "late.traj"
+    path.write_bytes(b"".join(pieces))
+
+    marked, none = read(path)
+    assert (list(marked.late), none.late) == (late, ())
+    assert marked.steps == none.steps
+
+
+@pytest.mark.parametrize("records", [b"LC", b"LL" + b"C", b"LV", b"L"])
+def test_a_mark_without_a_step_is_refused(tmp_path: Path, records: bytes) -> None:
+    record(tmp_path / "right.traj", 1)
+    right = gzip.decompress((tmp_path / "right.traj").read_bytes())[len(MAGIC) :]
+    run = right[: right.index(b"O\x02\x00\x00\x00")]
+    start = b"O" + observation(0).body
+
+    with pytest.raises(TrajectoryError, match=r"where a step is to follow|ends inside a record"):
+        read(write_stream(tmp_path / "wrong.traj", run, start, records))

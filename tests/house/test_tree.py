@@ -47,7 +47,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "ray": ["experiment_runner/executors/*"],
     "gymnasium": ["glue/gym/*", "glue/openenv/*", "env_server/gym/*", "env_server/datasets/*"],
     **{key: ["glue/gym/sb3.py"] for key in ("sb3_contrib", "stable_baselines3")},
-    "pettingzoo": ["glue/gym/games.py"],
+    "pettingzoo": ["glue/gym/served.py"],
     "torch": NOWHERE,
     "starlette": ["experiment_runner/view/*", "experiment_runner/competition/season/entrance.py"],
     "prometheus_client": ["experiment_runner/view/season/metrics.py"],

@@ -24,7 +24,7 @@ from glue.errors import ConfigError
 from tests.system.runs import wait_until
 
 _MEBIBYTE = 2**20
-_SECONDS = 30.0
+_SECONDS = 120.0
 _NOBODY = 65534
 _LIMITS = Limits(memory=64 * _MEBIBYTE, tmp=2 * _MEBIBYTE, shm=3 * _MEBIBYTE, log=4096, pids=20, cpus=0.5)
 

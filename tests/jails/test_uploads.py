@@ -6,13 +6,14 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from experiment_runner.competition.containers import Containers
 from experiment_runner.competition.season.images import MODULE
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starters import Launch
+from experiment_runner.competition.starters import Launch, name_of_run
 from tests.jails.test_containers import launch
 from tests.system.runs import wait_until
 
@@ -20,8 +21,8 @@ __all__ = ["launch"]
 
 
 def uploaded(path: Path, most: int = 2**30) -> dict[str, str]:
-    """Return what becomes of an upload."""
-    command = [sys.executable, "-P", "-m", MODULE, str(path), str(most), "glue-season/test"]
+    """Return what becomes of an upload to a season in the same folder."""
+    command = [sys.executable, "-P", "-m", MODULE, str(path), str(most), str(path.parent)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
     found: dict[str, str] = json.loads(done.stdout)
     return found
@@ -38,14 +39,15 @@ def test_an_upload_takes_over_no_name_and_keeps_its_id(
     subprocess.run(["docker", "save", "--output", str(saved), ours], check=True, timeout=60)
     engine.images.get(our_id).tag(*ours.split(":"))
     engine.images.remove(hostile, force=True)
+    name = f"glue-season/{name_of_run(tmp_path)}:{hostile_id.rpartition(':')[2][:12]}"
     try:
         assert uploaded(saved) == {"id": hostile_id}
         assert engine.images.get(ours).id == our_id
         tags = engine.images.get(hostile_id).tags
-        assert tags == [f"glue-season/test:{hostile_id.rpartition(':')[2][:12]}"]
+        assert tags == [name]
     finally:
         engine.images.get(hostile_id).tag(*hostile.split(":"))
-        engine.images.remove(f"glue-season/test:{hostile_id.rpartition(':')[2][:12]}")
+        engine.images.remove(name)
 
 
 def test_an_upload_that_would_be_too_large_never_reaches_the_engine(
@@ -56,6 +58,25 @@ def test_an_upload_that_would_be_too_large_never_reaches_the_engine(
     before = len(engine.images.list(all=True))
     assert "too large" in uploaded(saved, 2**20)["error"]
     assert len(engine.images.list(all=True)) == before
+
+
+def test_images_with_which_nobody_plays_leave_the_engine(engine: Any, image: Callable[..., str]) -> None:
+    made = [engine.images.get(image(f"RUN echo {name} > /who", "CMD id")) for name in ("played", "unused")]
+    for number, one in enumerate(made):
+        one.tag("glue-season/test", f"{number}")
+
+    def left() -> list[str]:
+        found = (tag for one in engine.images.list(name="glue-season/test") for tag in one.tags)
+        return sorted(tag for tag in found if tag.startswith("glue-season/test:"))
+
+    played, now = {made[0].id}, datetime.now(UTC)
+    Containers().tidy("glue-season/test", played, now - timedelta(hours=1))
+    assert left() == ["glue-season/test:0", "glue-season/test:1"]  # they may be about to play
+    Containers().tidy("glue-season/test", played, now + timedelta(hours=1))
+    assert left() == ["glue-season/test:0"]
+    assert len(engine.images.get(made[1].id).tags) == 1  # the name that is not the season's
+    Containers().tidy("glue-season/test", (), now + timedelta(hours=1))
+    assert not left()
 
 
 def test_a_container_is_charged_for_all_its_programs(image: Callable[..., str], launch: Launch) -> None:

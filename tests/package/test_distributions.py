@@ -74,7 +74,7 @@ def test_sdist_holds_what_a_wheel_is_made_of(sdist: Path) -> None:
     documents = {"CHANGELOG.md", "CITATION.cff", "LICENSE", "MANIFEST.in", "NOTICE", "README.md"}
     expected = OURS | {name for name in TRACKED if name.startswith("glue_rl/")} | documents
     assert {name for name in names if ".egg-info/" not in name} == expected | {
-        *("PKG-INFO", "pyproject.toml", "setup.cfg", "setup.py"),
+        *("PKG-INFO", "pyproject.toml", "setup.cfg", "setup.py")
     }
 
 

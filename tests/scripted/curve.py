@@ -6,12 +6,7 @@ import os
 import struct
 from dataclasses import dataclass, field
 
-from nacl.bindings import (
-    crypto_box_afternm,
-    crypto_box_beforenm,
-    crypto_box_keypair,
-    crypto_box_open_afternm,
-)
+from nacl.bindings import crypto_box_afternm, crypto_box_beforenm, crypto_box_keypair, crypto_box_open_afternm
 
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x01" + b"CURVE".ljust(20, b"\0") + bytes(32)
 METADATA = b"\x0bSocket-Type\x00\x00\x00\x06DEALER"

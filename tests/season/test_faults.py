@@ -28,6 +28,7 @@ from tests import forked
 from tests.experiment_runner.competition.players import SECRET, competition
 from tests.experiment_runner.competition.season.inside import CODE, FILE, Season
 from tests.forked import BIN
+from tests.proof import size
 from tests.system.runs import wait_until
 
 ROOT = Path(__file__).parents[2]
@@ -41,11 +42,8 @@ opens = {opens}
 closes = {closes}
 enrol = "closed"
 parallel = 2
-[tasks.mines]
-env = "mines"
-options = {{ random_start = true }}
-steps = 200
-phase = "proving"
+[tasks]
+mines = {{ env = "mines", options.random_start = true, steps = 200, phase = "proving" }}
 """
 _ENTRANT = '[entrants.walk{number}]\ncommand = ["{python}", "-m", "tests.season.walk"]\n'
 
@@ -67,8 +65,8 @@ def test_a_full_disk_stops_the_server_and_nothing_that_is_over_is_lost(tmp_path:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     serve = f"exec {BIN / 'glue-compete'} serve spring.toml --out run"
     kept: set[str] = set()
-    for size in (200, 260):  # blocks of 512 bytes
-        limited = ["sh", "-c", f"ulimit -f {size}; {serve}"]
+    for blocks in (200, 260):  # of 512 bytes
+        limited = ["sh", "-c", f"ulimit -f {blocks}; {serve}"]
         full = subprocess.run(
             limited, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200
         )
@@ -94,17 +92,19 @@ def test_a_full_disk_stops_the_server_and_nothing_that_is_over_is_lost(tmp_path:
     assert verified.returncode == 0, verified.stderr
 
 
-def test_ten_thousand_enrol(tmp_path: Path) -> None:
-    season = Season(tmp_path, FILE.replace("failures = 2", "failures = 2\nmost_entrants = 10_000"))
+@pytest.mark.proof
+def test_many_enrol(tmp_path: Path) -> None:
+    many = size(1_000, 10_000)
+    season = Season(tmp_path, FILE.replace("failures = 2", f"failures = 2\nmost_entrants = {many}"))
     with season.stack:
-        for number in range(10_000):
+        for number in range(many):
             key = encode(hashlib.sha256(str(number).encode()).digest())
             season.ask(Enrol(f"entrant{number}", key, CODE))
         with pytest.raises(Exception, match="there is no room for more"):
             season.enrol("late")
         aliases = {one.act.alias for one in season.state.entrants.values()}
-        assert len(aliases) == 10_000
-        assert season.ask(Attempt("entrant5000"))["state"] == "playing"
+        assert len(aliases) == many
+        assert season.ask(Attempt("entrant500"))["state"] == "playing"
 
 
 def test_a_worker_that_is_cancelled_ends_at_once_and_says_nothing_more(tmp_path: Path) -> None:

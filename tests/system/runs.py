@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from experiment_runner.store.export import metric_table
 from experiment_runner.store.records import Checkpoint
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import metric_table
 from tests import forked
 
 COMMAND = [sys.executable, "-m", "glue_rl", "experiment"]

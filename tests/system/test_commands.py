@@ -299,13 +299,7 @@ def test_agent_that_raises_shows_its_traceback_and_one_error(tmp_path: Path, top
     assert 'mine.py", line' in first  # the traceback begins in the user's code
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "glue-experiment --env mines --episodes 2 --agent",
-        "glue-agent",
-    ],
-)
+@pytest.mark.parametrize("command", ["glue-experiment --env mines --episodes 2 --agent", "glue-agent"])
 def test_constructor_that_raises_shows_its_traceback_and_one_error(tmp_path: Path, command: str) -> None:
     (tmp_path / "mine.py").write_text(_UNMADE, encoding="utf-8")
     shown = run(*command.split(), "mine.py:Unmade", cwd=tmp_path)

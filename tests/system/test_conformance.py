@@ -22,7 +22,7 @@ def seen_in_one_process() -> dict[str, Seen]:
     return {name: case.run(local(case.agent(), case.environment())) for name, case in SCENARIOS.items()}
 
 
-@pytest.fixture(scope="module", params=["tcp", "ipc"])
+@pytest.fixture(scope="module", params=["tcp", pytest.param("ipc", marks=pytest.mark.stage("conformance"))])
 def hub(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of a hub with an agent and an environment for each scenario, in two more processes."""
     path: Path = tmp_path_factory.mktemp("hub") / "hub.sock"

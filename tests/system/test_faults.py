@@ -202,10 +202,7 @@ def test_a_player_cut_off_for_longer_than_the_timeout_returns_as_it_was(role: st
     run = Run(timeout=1.0)
     proxy = Proxy(port(run.hub))
     shut = At(moment, 5, proxy.shut)
-    with (
-        proxy.in_background(),
-        run.experiment(role, player, partner(before=shut), proxy.url) as (glue, _),
-    ):
+    with proxy.in_background(), run.experiment(role, player, partner(before=shut), proxy.url) as (glue, _):
         run.on_notice["lost"] = proxy.open
         glue.rl_init(seed=5)
         assert len(play(glue)) == 1

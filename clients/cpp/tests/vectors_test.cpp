@@ -269,6 +269,17 @@ void check_legal() {
   const auto view = glue_rl::ObservationView::take(rest, false);
   expect(!view.legal(0) && view.legal(1) && view.legal(2) && !view.legal(3) && !view.legal(8), "mask");
   expect(glue_rl::ObservationView().legal(9), "lack of a mask");
+
+  using glue_rl::detail::mask_fault;
+  using glue_rl::detail::mask_sizes;
+  const auto sizes = mask_sizes("OBSERVATIONS INTS (0 9) Actions DOUBLES (0 1) ints (0 1)( 2 -1 1 ) CHARCOUNT 2 REWARDS (0 1)");
+  expect(sizes == std::vector<std::size_t>{2, 3, 3}, "sizes");
+  expect(mask_sizes("ACTIONS INTS (0 UNSPEC) REWARDS").empty() && mask_sizes("a mirror").empty(), "unknown sizes");
+  expect(mask_sizes("ACTIONS DOUBLES (0 1) REWARDS (0 1) EXTRA INTS (0 1)").empty(), "no ints");
+  expect(mask_fault({0, 1, 0, 0, 1, 1, 0, 0}, sizes).empty() && mask_fault({}, sizes).empty(), "masks that fit");
+  expect(mask_fault({0, 1, 0, 0, 0, 1, 0, 0}, sizes) == "no value of int 1 is legal", "an empty int");
+  expect(!mask_fault({1, 1, 1, 1, 1, 1, 1, 1, 1}, sizes).empty(), "a long mask");
+  expect(!mask_fault({1, 0, 1, 0, 1}, {2, 2}).empty() && mask_fault({0}, {}).empty(), "one value more");
 }
 
 void check_refused(const Json& entry) {
@@ -296,7 +307,7 @@ int main(int argc, char** argv) {
   std::ostringstream text;
   text << std::ifstream(argv[1]).rdbuf();
   const Json vectors = Json::parse(text.str());
-  for (const std::string section : {"messages", "accepted", "truncate", "beside"}) {
+  for (const std::string section : {"messages", "accepted", "truncate", "beside", "pace"}) {
     for (const Json& entry : vectors[section].items) {
       current = entry["kind"].text + ", " + entry["name"].text;
       const std::string &from = entry["from"].text, &to = entry["to"].text;

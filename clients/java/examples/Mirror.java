@@ -8,6 +8,7 @@ import gluerl.GlueException;
 import gluerl.Measured;
 import gluerl.Observation;
 import gluerl.Options;
+import gluerl.Paced;
 import gluerl.Saveable;
 import gluerl.Seedable;
 import java.io.ByteArrayOutputStream;
@@ -118,7 +119,14 @@ abstract class Mirror implements Seedable, Saveable {
         return text.getBytes(StandardCharsets.UTF_8);
     }
 
-    static final class MirrorAgent extends Mirror implements Agent, Measured {
+    static final class MirrorAgent extends Mirror implements Agent, Measured, Paced {
+        private double[] told = {};
+
+        @Override
+        public void pace(double deadline, double latency) {
+            told = new double[] {deadline, latency};
+        }
+
         @Override
         public Map<String, Double> metrics() {
             Map<String, Double> metrics = new LinkedHashMap<>();
@@ -141,9 +149,11 @@ abstract class Mirror implements Seedable, Saveable {
         public Action step(double reward, Observation observation) {
             count++;
             Action shown = shown(observation);
+            DoubleStream more = DoubleStream.concat(DoubleStream.of(sum(shown.ints()), reward), Arrays.stream(told));
+            told = new double[0];
             return isEmpty(shown) ? shown : new Action(
                     mirrored(shown.ints(), count),
-                    mirrored(shown.doubles(), sum(shown.ints()), reward),
+                    mirrored(shown.doubles(), more.toArray()),
                     mirrored(shown.chars()));
         }
 

@@ -128,6 +128,21 @@ final class VectorsTest {
         expect(extras.extras().equals(Map.of("coins", 3L)), "coins");
     }
 
+    private static void masks() {
+        Observation runs = new Observation(7);
+        Masks masks = new Masks(
+                "OBSERVATIONS INTS (0 9) Actions DOUBLES (0 1) ints (0 1)( 2 -1 1 ) CHARCOUNT 2 REWARDS (0 1) EXTRA INTS (0 1)");
+        masks.checked("step", runs);
+        masks.checked("step", runs.withMask(false, true, false, false, true, true, false, false));
+        doesNotSend("an empty int", () -> masks.checked("step", runs.withMask(false, true, false, false, false, true, true, false)));
+        doesNotSend("a long mask", () -> masks.checked("step", runs.withMask(true, true, true, true, true, true, true, true, true)));
+        doesNotSend("one value more", () -> new Masks("ACTIONS INTS (0 1) (0 1) REWARDS")
+                .checked("step", runs.withMask(true, false, true, false, true)));
+        for (String unknown : new String[] {"ACTIONS INTS (0 UNSPEC) REWARDS", "a mirror", "ACTIONS REWARDS EXTRA INTS (0 1)"}) {
+            new Masks(unknown).checked("step", runs.withMask(false));
+        }
+    }
+
     private static byte[] body(Object body) {
         if (body == null) {
             return null;
@@ -208,7 +223,7 @@ final class VectorsTest {
 
     public static void main(String[] args) throws Exception {
         Map<String, Object> vectors = map(Json.parse(Files.readString(Path.of(args[0]))));
-        for (String section : new String[] {"messages", "accepted", "truncate", "beside"}) {
+        for (String section : new String[] {"messages", "accepted", "truncate", "beside", "pace"}) {
             for (Object one : list(vectors.get(section))) {
                 Map<String, Object> entry = map(one);
                 if (!ROLES.contains(entry.get("from")) && !ROLES.contains(entry.get("to"))) {
@@ -233,6 +248,7 @@ final class VectorsTest {
             refuses(one.toString(), () -> Extras.unpack(HEX.parseHex((String) map(one).get("hex"))));
         }
         beside();
+        masks();
         Map<String, Object> zmtp = map(vectors.get("zmtp"));
         expect(HEX.formatHex(FrameReader.greeting()).equals(zmtp.get("greeting")), "greeting");
         expect(HEX.formatHex(FrameReader.ready()).equals(zmtp.get("ready")), "ready");

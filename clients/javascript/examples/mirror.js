@@ -67,6 +67,14 @@ class Mirror {
 }
 
 class MirrorAgent extends Mirror {
+  /** @type {number[]} */
+  #told = [];
+
+  /** @param {number} deadline @param {number} latency */
+  pace(deadline, latency) {
+    this.#told = [deadline, latency];
+  }
+
   init() {
     this.count = 0;
   }
@@ -79,7 +87,7 @@ class MirrorAgent extends Mirror {
   /** @param {number} reward @param {Observation} observation */
   step(reward, observation) {
     this.count += 1;
-    return this.mirror(shown(observation), reward);
+    return this.mirror(shown(observation), reward, ...this.#told.splice(0));
   }
 
   end() {
@@ -188,19 +196,23 @@ async function mirrorExperiment() {
   /** @type {string[]} */
   const notices = [];
   const glue = await connect({ name: "mirror", onNotice: (event, role, name) => notices.push(`${event} ${role} ${name}`) });
-  let shown = /** @type {AbstractTypeLike} */ ({ chars: Buffer.from("ready") });
-  for (;;) {
-    const { reward, observation: order } = await glue.envStep(shown);
-    const chars = Buffer.from(order.chars);
-    const space = chars.indexOf(" ");
-    const verb = chars.subarray(0, space < 0 ? chars.length : space).toString();
-    if (verb === "end") return glue.close();
-    try {
-      shown = await carryOut(glue, verb, chars.subarray(space < 0 ? chars.length : space + 1), reward, order, notices);
-    } catch (error) {
-      if (!(error instanceof GlueError) || error.code === undefined) throw error;
-      shown = words(`ERROR ${error.code} ${error.message}`);
+  try {
+    let shown = /** @type {AbstractTypeLike} */ ({ chars: Buffer.from("ready") });
+    for (;;) {
+      const { reward, observation: order } = await glue.envStep(shown);
+      const chars = Buffer.from(order.chars);
+      const space = chars.indexOf(" ");
+      const verb = chars.subarray(0, space < 0 ? chars.length : space).toString();
+      if (verb === "end") return;
+      try {
+        shown = await carryOut(glue, verb, chars.subarray(space < 0 ? chars.length : space + 1), reward, order, notices);
+      } catch (error) {
+        if (!(error instanceof GlueError) || error.code === undefined) throw error;
+        shown = words(`ERROR ${error.code} ${error.message}`);
+      }
     }
+  } finally {
+    await glue.close(); // an open connection would keep the program
   }
 }
 

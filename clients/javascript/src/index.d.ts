@@ -56,7 +56,7 @@ export type Awaitable<T> = T | Promise<T>;
 
 /**
  * An agent: it learns. With the method `seed` it offers the capability of that name, with `save` and `load` the
- * capability `save`, with `metrics` the capability of that name.
+ * capability `save`, with `metrics` or `pace` the capability of that name.
  */
 export interface Agent {
   /** Prepare for a task: forget what was learned before. */
@@ -78,6 +78,11 @@ export interface Agent {
   load?(data: Uint8Array): Awaitable<void>;
   /** The agent's own numbers by name, such as its step size; asking changes nothing. */
   metrics?(): Awaitable<Readonly<Record<string, number>>>;
+  /**
+   * Before a `step` in an environment that does not wait: the seconds until its next step, and those that the last answer
+   * took.
+   */
+  pace?(deadline: number, latency: number): void;
 }
 
 /** The outcome of an action. */

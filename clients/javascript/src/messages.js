@@ -33,7 +33,7 @@ const MAX_SESSION = 255;
  * @typedef {{ kind: number, session: string, seq: number | bigint, scalars: any[], value: any, known: boolean }} Message
  */
 
-/** @typedef {"int" | "float" | "bool" | "terminal" | "text" | "binary" | "ints" | "texts" | "seed"} Scalar */
+/** @typedef {"int" | "float" | "bool" | "terminal" | "text" | "binary" | "ints" | "texts" | "pace" | "seed"} Scalar */
 /** @typedef {"none" | "text" | "bytes" | "action" | "seen" | "observation" | "both"} Body agents have seen no extras */
 /** @typedef {{ scalars: Scalar[], body: Body }} Shape */
 
@@ -44,7 +44,7 @@ const shape = (body, ...scalars) => ({ scalars, body });
 const CALLS = [
   [AGENT.INIT, shape("text"), shape("none")],
   [AGENT.START, shape("seen"), shape("action")],
-  [AGENT.STEP, shape("seen", "float"), shape("action")],
+  [AGENT.STEP, shape("seen", "float", "pace", "pace"), shape("action")],
   [AGENT.END, shape("none", "float"), shape("none")],
   [AGENT.CLEANUP, shape("none"), shape("none")],
   [AGENT.MESSAGE, shape("text"), shape("text")],
@@ -147,8 +147,9 @@ export function decode(header, body) {
   }
   const expected = FROM_HUB.get(kind);
   if (expected === undefined) return { kind, session, seq, scalars: [], value: undefined, known: false };
-  // A hub that knows nothing of masks and extras omits the texts of its WELCOME.
-  const types = expected.scalars.filter((type, i) => type !== "texts" || items > 3 + i);
+  // A hub that knows nothing of masks and extras omits the texts of its WELCOME, one that waits an agent's pace.
+  const needed = expected.scalars.filter((type) => type !== "texts" && type !== "pace");
+  const types = items > 3 + needed.length ? expected.scalars : needed;
   const scalars = types.map((type) => readScalar(reader, type));
   reader.end();
   return { kind, session, seq, scalars, value: readBody(expected.body, body), known: true };
@@ -175,7 +176,7 @@ function readBody(expected, body) {
 function readScalar(reader, type) {
   switch (type) {
     case "int": return reader.int();
-    case "float": return reader.float();
+    case "float": case "pace": return reader.float();
     case "bool": return reader.flag() !== 0;
     case "terminal": return terminalOf(reader.flag());
     case "texts": return Array.from({ length: reader.array() }, () => reader.text());

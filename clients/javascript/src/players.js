@@ -2,6 +2,7 @@
 
 import { HubClosed } from "./errors.js";
 import { clip, Link } from "./link.js";
+import { maskFault, maskSizes } from "./masks.js";
 import { AGENT, CUT_OFF, encode, ENV, ERROR } from "./messages.js";
 
 /** @typedef {import("./messages.js").Message} Message */
@@ -57,6 +58,8 @@ class Player {
   /** @type {[Message, Buffer[]][]} calls that came while a method that is asynchronous was under way */
   #queue = [];
   #busy = false;
+  /** @type {number[]} of the ints of an action */
+  #sizes = [];
 
   /**
    * @param {string} role
@@ -74,6 +77,7 @@ class Player {
     if (player.save && player.load) capabilities.push("save");
     if (player.seed) capabilities.push("seed");
     if (player.metrics && calls === AGENT_CALLS) capabilities.push("metrics");
+    if (player.pace && calls === AGENT_CALLS) capabilities.push("pace");
     capabilities.push("mask");
     if (calls === ENVIRONMENT_CALLS) capabilities.push("extras", "truncate");
     /** @type {(reason: string) => void} */
@@ -121,6 +125,7 @@ class Player {
     const connection = this.#link.greeted;
     try {
       const values = kind === AGENT.SEED || kind === ENV.SEED ? [BigInt(scalars[0])] : scalars;
+      if (kind === AGENT.STEP && values.length > 1) this.#player.pace?.(...values.splice(1));
       const result = known ? this.#player[call.method](...values, ...(value === undefined ? [] : [value])) : call.otherwise;
       if (typeof result?.then !== "function") {
         this.#finish(message, frames, result, connection);
@@ -145,6 +150,9 @@ class Player {
 
   /** @param {Message} message @param {Buffer[]} frames @param {any} result @param {number} connection */
   #finish({ kind, seq }, frames, result, connection) {
+    if (kind === ENV.INIT) this.#sizes = maskSizes(result);
+    if (kind === ENV.START) this.#check("start", result);
+    if (kind === ENV.STEP) this.#check("step", result.observation);
     const answer =
       kind === ENV.STEP
         ? this.#encode(kind, seq, [result.reward, result.truncated ? CUT_OFF : result.terminal], result.observation)
@@ -155,6 +163,12 @@ class Player {
     this.#keep(seq, frames, answer);
     // Over a newer connection the hub asks again.
     if (connection === this.#link.greeted && this.#link.welcomed) this.#link.send(answer);
+  }
+
+  /** @param {string} method @param {import("./index.js").ObservationLike} observation */
+  #check(method, { mask }) {
+    const fault = maskFault(mask ?? [], this.#sizes);
+    if (fault) throw new RangeError(`${method} returned an observation whose mask does not fit the task spec: ${fault}`);
   }
 
   /** @param {number} kind @param {number | bigint} seq @param {any[]} scalars @param {any} value */

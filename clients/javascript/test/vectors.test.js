@@ -5,6 +5,7 @@ import { readFileSync } from "node:fs";
 import test from "node:test";
 import { legal, readObservation, writeAction, writeObservation } from "../src/body.js";
 import { packExtras, unpackExtras } from "../src/extras.js";
+import { maskFault, maskSizes } from "../src/masks.js";
 import { decode, encode } from "../src/messages.js";
 import { MessageReader, GREETING, READY, frameHead } from "../src/zmtp.js";
 
@@ -61,7 +62,7 @@ const exact = (value) => (typeof value === "number" && Number.isInteger(value) &
 
 const ROLES = ["peer", "agent", "environment", "experiment"];
 const ours = (/** @type {any} */ { from, to }) => ROLES.includes(from) || ROLES.includes(to);
-const messages = [...vectors.messages, ...vectors.accepted, ...vectors.truncate, ...vectors.beside].filter(ours);
+const messages = [...vectors.messages, ...vectors.accepted, ...vectors.truncate, ...vectors.beside, ...vectors.pace].filter(ours);
 
 for (const { name, kind, code, session, seq, scalars, body, frames, ...entry } of messages) {
   const wire = frames.map(bytes);
@@ -166,3 +167,16 @@ for (const { name, wire, frames, from } of vectors.messages) {
 for (const { name, hex } of vectors.zmtp.refused.filter((/** @type {any} */ one) => !one.name.includes("ERROR"))) {
   test(`refuses ${name}`, () => assert.throws(() => readMessages(hex), { name: "ProtocolError" }));
 }
+
+test("finds ints without a legal value", () => {
+  const sizes = maskSizes("OBSERVATIONS INTS (0 9) Actions DOUBLES (0 1) ints (0 1)( 2 -1 1 ) CHARCOUNT 2 REWARDS (0 1)");
+  assert.deepEqual(sizes, [2, 3, 3]);
+  for (const unknown of ["ACTIONS INTS (0 UNSPEC) REWARDS", "a mirror", "ACTIONS DOUBLES (0 1) REWARDS EXTRA INTS (0 1)"]) {
+    assert.deepEqual(maskSizes(unknown), []);
+  }
+  const fault = (/** @type {string} */ bits, /** @type {number[]} */ of) => maskFault([...bits].map(Number), of);
+  assert.deepEqual([fault("01001100", sizes), fault("", sizes), fault("0", [])], ["", "", ""]);
+  assert.equal(fault("01000110", sizes), "no value of int 1 is legal");
+  assert.match(fault("111111111", sizes), /9 values, and the ints of an action have 8/);
+  assert.match(fault("10101", [2, 2]), /5 values/);
+});

@@ -13,6 +13,8 @@ use glue_rl::{
 struct Mirror {
     count: i32,
     seed: u64,
+    /// What the agent was told before this step.
+    told: Vec<f64>,
 }
 
 impl Mirror {
@@ -76,7 +78,12 @@ fn sum(ints: &[i32]) -> f64 {
 
 impl Agent for Mirror {
     fn capabilities(&self) -> &[Capability] {
-        &[Capability::Seed, Capability::Save, Capability::Metrics]
+        &[Capability::Seed, Capability::Save, Capability::Metrics, Capability::Pace]
+    }
+
+    fn pace(&mut self, deadline: f64, latency: f64) -> Outcome<()> {
+        self.told = vec![deadline, latency];
+        Ok(())
     }
 
     fn metrics(&self) -> Outcome<Vec<(String, f64)>> {
@@ -95,7 +102,8 @@ impl Agent for Mirror {
 
     fn step(&mut self, reward: f64, observation: &Observation) -> Outcome<Action> {
         self.count += 1;
-        Ok(self.mirror(&shown(observation), &[reward]))
+        let told = std::mem::take(&mut self.told);
+        Ok(self.mirror(&shown(observation), &[&[reward], &told[..]].concat()))
     }
 
     fn end(&mut self, _: f64) -> Outcome<()> {

@@ -31,6 +31,7 @@ mod error;
 mod experiment;
 mod extras;
 mod link;
+mod masks;
 mod message;
 mod msgpack;
 mod options;

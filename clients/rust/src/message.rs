@@ -103,6 +103,8 @@ enum Type {
     Text,
     /// An array of texts, which may be missing.
     Texts,
+    /// Two floats, which may be missing.
+    Pace,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -176,7 +178,7 @@ impl Message {
 /// Returns what a kind carries when it comes from the hub.
 fn from_hub(kind: u64) -> Option<(&'static [Type], Body)> {
     use kind::*;
-    use Type::{Bool, End, Float, Int, Text, Texts};
+    use Type::{Bool, End, Float, Int, Pace, Text, Texts};
     Some(match kind {
         ENV_INIT | ENV_START | ENV_CLEANUP | ENV_SAVE | AGENT_CLEANUP | AGENT_SAVE | RL_CLEANUP | RL_AGENT_END
         | RL_AGENT_LOAD | RL_ENV_LOAD | AGENT_METRICS | HEARTBEAT => (&[], Body::None),
@@ -184,7 +186,7 @@ fn from_hub(kind: u64) -> Option<(&'static [Type], Body)> {
         | RL_ENV_MESSAGE | RL_AGENT_SAVE | RL_ENV_SAVE => (&[], Body::Bytes),
         ENV_STEP | RL_AGENT_START | RL_AGENT_STEP | RL_AGENT_METRICS => (&[], Body::Action),
         AGENT_START => (&[], Body::Seen),
-        AGENT_STEP => (&[Float], Body::Seen),
+        AGENT_STEP => (&[Float, Pace], Body::Seen),
         RL_ENV_START => (&[], Body::Observation),
         RL_ENV_STEP => (&[Float, End], Body::Observation),
         RL_START => (&[], Body::Both),
@@ -244,18 +246,23 @@ pub(crate) fn decode(frames: &Frames) -> Result<Message, Error> {
     };
     let mut scalars = Vec::with_capacity(types.len());
     for each in types {
-        scalars.push(match each {
+        let scalar = match each {
             Type::Int => Scalar::Int(reader.int()?),
             Type::Float => Scalar::Float(reader.float()?),
             Type::Bool => Scalar::Bool(reader.flag()? != 0),
             Type::End => Scalar::end(reader.flag()?),
             Type::Text => Scalar::Text(reader.text()?.to_owned()),
-            Type::Texts if items == 3 + scalars.len() as u64 => break,
+            Type::Texts | Type::Pace if items == 3 + scalars.len() as u64 => break,
+            Type::Pace => {
+                scalars.push(Scalar::Float(reader.float()?));
+                Scalar::Float(reader.float()?)
+            }
             Type::Texts => {
                 let count = reader.array(MAX_ITEMS)?;
                 Scalar::Array((0..count).map(|_| reader.text().map(Scalar::from)).collect::<Result<_, _>>()?)
             }
-        });
+        };
+        scalars.push(scalar);
     }
     reader.end()?;
     check(kind, body, frames.body.as_deref())?;

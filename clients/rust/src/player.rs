@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::panic::{catch_unwind, resume_unwind, AssertUnwindSafe};
 
 use crate::link::Link;
+use crate::masks;
 use crate::message::{encode, kind, Frames, Message, Scalar, CUT_OFF};
 use crate::{AbstractType, Agent, Capability, Environment, Error, Options, Outcome};
 
@@ -25,6 +26,9 @@ pub fn serve_agent(agent: &mut dyn Agent, options: &Options) -> Result<String, E
             }
             kind::AGENT_STEP => {
                 seen.read(body)?;
+                if message.scalars.len() > 1 {
+                    agent.pace(message.float(1), message.float(2))?;
+                }
                 agent.step(message.float(0), &seen)?.write(answer.body());
             }
             kind::AGENT_END => agent.end(message.float(0))?,
@@ -52,13 +56,23 @@ pub fn serve_agent(agent: &mut dyn Agent, options: &Options) -> Result<String, E
 pub fn serve_environment(environment: &mut dyn Environment, options: &Options) -> Result<String, Error> {
     let capabilities = environment.capabilities().to_vec();
     let mut done = AbstractType::default();
+    let mut sizes = Vec::new();
     serve("environment", &capabilities, options, &mut |message, body, answer| {
         match message.kind {
-            kind::ENV_INIT => *answer.body() = environment.init()?.into_bytes(),
-            kind::ENV_START => environment.start()?.write_observation(answer.body())?,
+            kind::ENV_INIT => {
+                let task_spec = environment.init()?;
+                sizes = masks::sizes(&task_spec);
+                *answer.body() = task_spec.into_bytes();
+            }
+            kind::ENV_START => {
+                let first = environment.start()?;
+                masks::check("start", &first.mask, &sizes)?;
+                first.write_observation(answer.body())?;
+            }
             kind::ENV_STEP => {
                 done.read(body)?;
                 let step = environment.step(&done)?;
+                masks::check("step", &step.observation.mask, &sizes)?;
                 let end = if step.truncated { Scalar::Int(CUT_OFF) } else { Scalar::Bool(step.terminal) };
                 answer.scalars = vec![Scalar::Float(step.reward), end];
                 step.observation.write_observation(answer.body())?;
@@ -110,6 +124,7 @@ fn serve<'a>(
             Capability::Seed => "seed",
             Capability::Save => "save",
             Capability::Metrics => "metrics",
+            Capability::Pace => "pace",
         })
         .collect();
     capabilities.push("mask");

@@ -12,6 +12,8 @@ pub enum Capability {
     Save,
     /// An agent that has numbers of its own.
     Metrics,
+    /// An agent that is told how much time it has, where the environment does not wait for it.
+    Pace,
 }
 
 /// An agent: it learns.
@@ -65,6 +67,11 @@ pub trait Agent {
     /// Returns numbers of the agent, such as its step size, with their names of 1 to 64 characters without line breaks.
     fn metrics(&self) -> Outcome<Vec<(String, f64)>> {
         Err("this agent has no metrics".into())
+    }
+
+    /// Takes, before a `step`, the seconds until the environment's next step, and those that the last answer took.
+    fn pace(&mut self, _deadline: f64, _latency: f64) -> Outcome<()> {
+        Ok(())
     }
 }
 

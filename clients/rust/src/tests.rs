@@ -3,7 +3,7 @@
 use crate::abstract_type::cut;
 use crate::message::{decode, encode, Frames, Scalar};
 use crate::zmtp::{greeting, put_frame, FrameReader, Item, COMMAND, MORE, READY};
-use crate::{extras, AbstractType, Error, Extra, Extras};
+use crate::{extras, masks, AbstractType, Error, Extra, Extras};
 
 use self::json::Json;
 
@@ -240,7 +240,7 @@ fn is_ours(role: &str) -> bool {
 #[test]
 fn decodes_what_the_hub_sends() {
     let vectors = vectors();
-    let sections = ["messages", "accepted", "truncate", "beside"].map(|name| vectors.get(name));
+    let sections = ["messages", "accepted", "truncate", "beside", "pace"].map(|name| vectors.get(name));
     let all = sections.iter().flat_map(|section| section.array());
     for entry in all.filter(|entry| entry.get("from").text() == "hub" && is_ours(entry.get("to").text())) {
         let message = decode(&frames(entry)).unwrap_or_else(|error| panic!("{error}: {entry:?}"));
@@ -379,4 +379,21 @@ fn cuts_off_what_a_hub_does_not_take() {
         assert_eq!(&body, kept);
     }
     assert!(full.legal(1) && !full.legal(0) && !full.legal(3) && AbstractType::default().legal(9));
+}
+
+#[test]
+fn finds_ints_without_a_legal_value() {
+    let sizes =
+        masks::sizes("OBSERVATIONS INTS (0 9) Actions DOUBLES (0 1) ints (0 1)( 2 -1 1 ) CHARCOUNT 2 REWARDS (0 1)");
+    assert_eq!(sizes, [2, 3, 3]);
+    for unknown in ["ACTIONS INTS (0 UNSPEC) REWARDS", "a mirror", "ACTIONS DOUBLES (0 1) REWARDS EXTRA INTS (0 1)"] {
+        assert!(masks::sizes(unknown).is_empty(), "{unknown}");
+    }
+    let check = |bits: &str, sizes: &[usize]| {
+        let mask: Vec<bool> = bits.bytes().map(|bit| bit == b'1').collect();
+        masks::check("step", &mask, sizes).map_err(|error| error.to_string())
+    };
+    assert!(check("01001100", &sizes).is_ok() && check("", &sizes).is_ok() && check("0", &[]).is_ok());
+    assert!(check("01000110", &sizes).unwrap_err().ends_with("no value of int 1 is legal"));
+    assert!(check("111111111", &sizes).is_err() && check("10101", &[2, 2]).is_err());
 }

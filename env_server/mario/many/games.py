@@ -11,11 +11,11 @@ from typing import Annotated, Final
 import numpy as np
 import numpy.typing as npt
 
+from env_server.mario.game import ordinary_reward, terminal_reward
 from env_server.mario.level_sets import TYPES, LevelSet, level_seed, splitmix
 from env_server.mario.many.views import View, write_view
 from env_server.mario.observation import BODY_SIZE, encode
 from env_server.mario.parameters import Parameters
-from env_server.mario.reward import ordinary_reward, terminal_reward
 from env_server.mario.sim.state import LEVEL, WORLD, LevelMap, Levels, World, Worlds
 from env_server.mario.sim.step import act, begin
 from glue.closing import Closing

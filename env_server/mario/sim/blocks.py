@@ -7,16 +7,7 @@ from typing import Final
 import numpy as np
 
 from env_server.mario.sim import tiles as tile
-from env_server.mario.sim.state import (
-    FIREBALL,
-    FLOWER,
-    MUSHROOM,
-    PLANT,
-    Actor,
-    LevelMap,
-    World,
-    add_actor,
-)
+from env_server.mario.sim.state import FIREBALL, FLOWER, MUSHROOM, PLANT, Actor, LevelMap, World, add_actor
 from env_server.mario.sim.tiles import behavior_at, change_tile, tile_of
 from glue.compiled.jit import jit
 

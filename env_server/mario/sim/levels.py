@@ -24,9 +24,7 @@ _OVERGROUND: Final = 0
 _DRESS_OF_TYPE: Final = np.array([0, 12, 8])
 # The tile of a ground cell by its buried corners: 8 north-west, 4 north-east,
 # 2 south-west, 1 south-east. With none buried it stays as it is.
-_DRESSED: Final = np.array(
-    [0, 128, 130, 129, 160, 144, 145, 131, 162, 145, 146, 147, 161, 179, 163, 145],
-)
+_DRESSED: Final = np.array([0, 128, 130, 129, 160, 144, 145, 131, 162, 145, 146, 147, 161, 179, 163, 145])
 GROUND_CODES: Final = {
     tile.GROUND,
     *(int(code) + int(dress) for code in _DRESSED[1:] for dress in _DRESS_OF_TYPE),

@@ -10,14 +10,7 @@ from env_server.mario.sim.contacts import touch_all
 from env_server.mario.sim.levels import EXTRA_COLUMNS, generate
 from env_server.mario.sim.physics import die, update_mario
 from env_server.mario.sim.sprites import add_enemy, update_sprite
-from env_server.mario.sim.state import (
-    FIREBALL,
-    FREE,
-    MARIO,
-    TICKS_PER_ACTION,
-    LevelMap,
-    World,
-)
+from env_server.mario.sim.state import FIREBALL, FREE, MARIO, TICKS_PER_ACTION, LevelMap, World
 from glue.compiled.jit import jit
 
 _ZERO: Final = np.float32(0)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
 from experiment_runner.report.tables import format_table
-from experiment_runner.store.output import csv_row, finite
+from experiment_runner.store.run_data import csv_row, finite
 from glue.console import one_line
 
 if TYPE_CHECKING:
@@ -24,7 +24,8 @@ LEGEND: Final = (
     "score     of a task: the sum of all rewards, learning included, mean over trials; a forfeited trial "
     "scores what an agent that stands still earns, or the lowest verified score if that is lower",
 )
-_LATE: Final = "late      share of the actions that came too late for their step, in tasks with a rate"
+LATE: Final = "late      share of the actions that came too late for their step, in tasks with a rate"
+"""Line of the legend for boards with a column `late`."""
 
 
 def number(value: float) -> str:
@@ -65,7 +66,7 @@ def as_text(board: Standings, width: int | None = None) -> str:
     notes += [f"{one.name} is {one_line(one.player)}, {one.id}" for one in board.entrants if one.id]
     if notes:
         parts.append("\n".join(notes))
-    parts += ["\n".join([*LEGEND, *([_LATE] if timed else [])]), one_line(board.program)]
+    parts += ["\n".join([*LEGEND, *([LATE] if timed else [])]), one_line(board.program)]
     if board.seeds:
         seeds = [
             (seed.task, str(seed.trial), str(seed.seed), json.dumps(seed.options)) for seed in board.seeds

@@ -23,7 +23,7 @@ from experiment_runner.competition.course import Course
 from experiment_runner.competition.records.journal import ADD, ANNOUNCE, EXCLUDE, READMIT, RERUN, Act
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.seal import check_seal
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.layout import ABOUT_FILE
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
@@ -195,12 +195,11 @@ class _Judged(NamedTuple):
     forfeit: str | None = None
     score: float = math.nan
     curve: FloatArray = np.zeros(0)
-    late: tuple[float, int] = (0, 0)
+    late: tuple[int, int] = (0, 0)
 
 
 def _judged(results: Results, course: Course) -> Iterator[_Judged]:
-    outcomes, verdicts = results.outcomes(), results.verdicts()
-    rated = {task.name for task in course.competition.tasks if task.rate}
+    outcomes, verdicts, late = results.outcomes(), results.verdicts(), results.late_actions()
     for planned, trial in course.counting.items():
         outcome, verdict = outcomes.get(trial), verdicts.get(trial)
         if outcome is None:
@@ -212,11 +211,9 @@ def _judged(results: Results, course: Course) -> Iterator[_Judged]:
         elif _digest(record_path(results.directory, trial)) != verdict.digest:
             yield _Judged(planned, "changed since it was verified", outcome.reason)
         else:
-            episodes = results.episodes(trial)
-            curve = _curve(episodes if outcome.reason is None else ())
-            timed = episodes if planned.parts[1] in rated else ()
-            late = (sum(one.late for one in timed), sum(one.steps for one in timed))
-            yield _Judged(planned, "", outcome.reason, verdict.score, curve, late)
+            curve = _curve(results.episodes(trial) if outcome.reason is None else ())
+            timed = late.get(trial, (0, 0))
+            yield _Judged(planned, "", outcome.reason, verdict.score, curve, timed)
 
 
 def _standing(

@@ -111,6 +111,12 @@ class Act:
             raise ExperimentError(f"the journal has an act at {self.time!r:.80}, which is no time")
         return found
 
+    @property
+    def line(self) -> str:
+        """The act as a line of a log."""
+        number = f" {self.number}" if self.number else ""
+        return f"{self.act} {self.subject}{number}" + (f": {self.reason}" if self.reason else "")
+
 
 _ALWAYS: Final = ("time", "act", "subject", "reason")
 _TIME: Final = "%Y-%m-%dT%H:%M:%SZ"

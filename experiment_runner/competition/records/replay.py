@@ -7,11 +7,14 @@ through its `env_step`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
 from glue.engine.engine import role_seed
 from glue.installed import entry_points
@@ -19,6 +22,7 @@ from glue.options import build
 from glue.plugins.loading import find
 from glue.roles import Environment, SeedableEnvironment, offers
 from glue.taskspec import parse_task_spec
+from glue.trajectory import Run
 from glue.types import Action, step_of
 from glue.wire.messages import Role
 
@@ -27,6 +31,17 @@ _PASSIVE_STEPS: Final = 10_000
 
 _AT_ONCE: Final = 1_000
 """Passive steps per call."""
+
+
+def recorded_run(spec: TrialSpec, task_spec: str) -> Run:
+    """Return the run that the record of a trial begins with.
+
+    It tells the name of a file that the environment reads, and its digest, not where the organiser keeps it.
+    """
+    run = run_of(spec, task_spec)
+    named = {name for name in run.options if f"{name}_digest" in run.options}
+    options = {name: Path(str(one)).name if name in named else one for name, one in run.options.items()}
+    return replace(run, options=options)
 
 
 def made_for(spec: TrialSpec) -> Environment:

@@ -27,7 +27,7 @@ from msgspec.structs import replace
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import (

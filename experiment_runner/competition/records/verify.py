@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiment_runner.competition.records.record import digest, record_path
-from experiment_runner.competition.records.replay import Replay, passive_score, replay_of
+from experiment_runner.competition.records.replay import Replay, passive_score, recorded_run, replay_of
 from experiment_runner.competition.records.seal import record_verdict, reseal_verdicts, seal
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
@@ -112,9 +112,9 @@ def _verified_score(
         raise Mismatch(f"{path} is not the record that was finished: bytes in it were changed")
     episodes, score = replay_trial(spec, path)
     _compare_episodes(results.episodes(spec.id), episodes)
-    ends = [end for end, _, _ in episodes]
+    ends = [end for end, *_ in episodes]
     if outcome.reason is None:
-        total = sum(count for _, count, _ in episodes)
+        total = sum(count for _, count, *_ in episodes)
         whole = len(ends) == spec.episodes and Ending.VOID not in ends
         complete = total == steps if steps else whole
         if not complete:
@@ -124,8 +124,8 @@ def _verified_score(
     return score
 
 
-Replayed = tuple[Ending, int, float]
-"""The ending of an episode, its number of steps, and its return."""
+Replayed = tuple[Ending, int, float, int]
+"""The ending of an episode, its number of steps, its return, and the number of late actions."""
 
 
 def replay_trial(spec: TrialSpec, path: Path) -> tuple[list[Replayed], float]:
@@ -136,19 +136,19 @@ def replay_trial(spec: TrialSpec, path: Path) -> tuple[list[Replayed], float]:
         TrajectoryError: the record is damaged.
     """
     replay, task_spec = replay_of(spec)
-    run = run_of(spec, task_spec)
+    runs = (recorded_run(spec, task_spec), run_of(spec, task_spec))  # the second as of version 0.3.0
     episodes: list[Replayed] = []
     score = 0.0
     reader = TrajectoryReader(path)
     for number, episode in enumerate(reader, 1):
-        if episode.run != run or not isinstance(episode.steps, ActionSteps):
+        if episode.run not in runs or not isinstance(episode.steps, ActionSteps):
             raise Mismatch(f"{path} is not a record of {spec.id}: it is of {_shown(episode.run)}")
         replay.start()
         count, total = 0, 0.0
         for rewards in _replayed(replay, episode, number):
             count += len(rewards)
             total, score = _add(total, rewards), _add(score, rewards)
-        episodes.append((episode.ending, count, total))
+        episodes.append((episode.ending, count, total, len(episode.late)))
     if reader.torn:
         raise Mismatch(f"the record ends in the middle of episode {len(episodes) + 1}")
     return episodes, score
@@ -187,11 +187,12 @@ def _compare_episodes(stored: Sequence[EpisodeResult], replayed: Sequence[Replay
     whole = [episode for episode in replayed if episode[0] is not Ending.VOID]
     if len(stored) != len(whole):
         raise Mismatch(f"the record has {len(whole)} episodes, and the database {len(stored)}")
-    for row, (end, count, total) in zip(stored, whole, strict=True):
+    for row, (end, count, total, late) in zip(stored, whole, strict=True):
         terminal = end is Ending.TERMINAL
         # RL_num_steps counts observations, of which the last step of an episode has none.
-        expected = (total, count if terminal else count + 1, terminal)
-        found = (row.episode_return, row.steps, row.terminal)
+        expected = (total, count if terminal else count + 1, terminal, late)
+        # Results from before there was a rate do not know how many were late.
+        found = (row.episode_return, row.steps, row.terminal, late if math.isnan(row.late) else row.late)
         if found != expected:
             raise Mismatch(f"episode {row.episode} is {expected} by its record, and {found} in the database")
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from experiment_runner.competition.course import Course
 from experiment_runner.competition.organiser import admissions
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act
-from experiment_runner.competition.season.control import Organise
+from experiment_runner.competition.season.control import Admitted, Organise
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import Competition, load_competition
 from glue.errors import ExperimentError
@@ -18,36 +19,45 @@ from glue.errors import ExperimentError
 
 def acts_for(
     wanted: Organise,
-    given: Competition | None,
     course: Course,
-    state: SeasonState | None,
     over: Collection[str],
     now: datetime,
+    state: SeasonState | None = None,
 ) -> list[Act]:
     """Return the acts of the journal that carry out an organiser's wish.
 
     Args:
         wanted: the wish.
-        given: the competition of its file, see `competition_given`.
         course: of the competition, so far.
-        state: of the season; None if the competition has none.
         over: ids of the trials that are over.
         now: the time.
+        state: of the season, if it is known.
 
     Raises:
         ExperimentError: it cannot be; the message says why.
     """
 
-    def one(subject: str, kind: str = wanted.act, number: int = 0, **more: int) -> Act:
+    if state is None and course.competition.season is not None:
+        state = SeasonState.of(course)
+
+    def one(subject: str, kind: str = wanted.act, number: int = 0, **more: Any) -> Act:
         return act(kind, subject, wanted.why, now=now, number=number, **more)
 
     name = wanted.subject
     match wanted.act:
         case journal.ADD:
-            assert given is not None
-            return _added(wanted, given, course, now)
+            return [one(new.name, player=new.player, id=new.id, alias=new.alias) for new in wanted.admitted]
         case journal.RERUN if "/" in name:
             return course.repetitions([name], over, wanted.why)
+        case journal.RERUN if not course.in_season:
+            theirs = [
+                trial for trial, last in course.counting.items() if trial.parts[0] == name and last in over
+            ]
+            if not theirs or wanted.number:
+                raise ExperimentError(
+                    f"no trial of {name:.80} is over; give its name, or entrant, task and number"
+                )
+            return course.repetitions(theirs, over, wanted.why)
         case journal.EXCLUDE:
             return [course.exclusion(name, wanted.why), *_ended(state, name, wanted.why, now)]
         case journal.READMIT:
@@ -56,11 +66,19 @@ def acts_for(
             return [one(name)]
         case journal.ANNOUNCE:
             return [one(EVERYBODY)]
+        case journal.PAUSE | journal.RESUME:
+            paused = _paused(course, state, name or EVERYBODY)
+            if wanted.act == journal.RESUME and not paused:
+                raise ExperimentError(
+                    f"{name or ('the season' if course.in_season else 'the run')} is not paused"
+                )
+            return [one(name or EVERYBODY)]
     if state is None:
         raise ExperimentError(
             f"{wanted.act:.20} is an act of a season, and the competition's file has no table [season]"
+            + ("; rerun has an entrant play again" if wanted.act == journal.GRANT else "")
         )
-    if state.closed is not None and wanted.act in (journal.RERUN, journal.CLOSE):
+    if state.closed is not None:
         raise ExperimentError(f"the season was closed at {state.closed}")
     match wanted.act:
         case journal.RERUN:
@@ -70,11 +88,6 @@ def acts_for(
             if not 1 <= wanted.number <= 10_000:
                 raise ExperimentError(f"grant from 1 to 10,000 attempts, not {wanted.number}")
             return [one(name, number=wanted.number)]
-        case journal.PAUSE | journal.RESUME:
-            paused = state.paused if name in ("", EVERYBODY) else state.entrant(name).paused
-            if wanted.act == journal.RESUME and not paused:
-                raise ExperimentError(f"{name or 'the season'} is not paused")
-            return [one(name or EVERYBODY)]
         case journal.FREEZE | journal.THAW:
             if (state.frozen_at(now) is not None) == (wanted.act == journal.FREEZE):
                 raise ExperimentError(f"the board is{' not' if wanted.act == journal.THAW else ''} frozen")
@@ -86,21 +99,59 @@ def acts_for(
     raise ExperimentError(f"there is no act {wanted.act!r:.80}")
 
 
-def competition_given(wanted: Organise) -> Competition | None:
+def addition(course: Course, file: Path, secret: bytes) -> Mapping[str, Any]:
+    """Return what `Organise` has of a wish to add the entrants of a file, once each can be started.
+
+    It may have to wait for a container engine, so it is not for the process that plays matches.
+
+    Args:
+        course: of the competition.
+        file: describes a competition with these entrants, and those that take part.
+        secret: determines their pseudonyms.
+
+    Raises:
+        ConfigError: the file cannot be read or describes no competition, or an entrant cannot be started.
+        ExperimentError: it has no new entrant.
+    """
+    given = load_competition(file)
+    new = [entrant for entrant in given.entrants if entrant.name not in course.entrants]
+    if not new:
+        raise ExperimentError(f"{file} has no entrant that does not take part already")
+    hidden = None if course.competition.season is None else secret
+    taken = (one.alias for one in course.acts)
+    acts = admissions(given, new, journal.ADD, "", secret=hidden, taken=taken)
+    admitted = tuple(Admitted(one.subject, one.player, one.id, one.alias) for one in acts)
+    return {"file": str(file.absolute()), "admitted": admitted}
+
+
+def competition_given(wanted: Organise, course: Course) -> Competition | None:
     """Return the competition of the file of a wish to add its entrants; None for another wish.
 
     Raises:
         ConfigError: the file cannot be read or describes no competition.
+        ExperimentError: its entrants are not, or no longer, those that are to be added.
     """
-    return load_competition(Path(wanted.file)) if wanted.act == journal.ADD else None
+    if wanted.act != journal.ADD:
+        return None
+    given = load_competition(Path(wanted.file))
+    new = {one.name: one.player for one in given.entrants if one.name not in course.entrants}
+    taken = {one.alias for one in course.acts if one.alias}
+    if (
+        not new
+        or {one.name: one.player for one in wanted.admitted} != new
+        or not taken.isdisjoint(one.alias for one in wanted.admitted)
+    ):
+        raise ExperimentError(f"{wanted.file}, or who takes part, has changed meanwhile: try again")
+    return given
 
 
-def _added(wanted: Organise, given: Competition, course: Course, now: datetime) -> list[Act]:
-    known = course.entrants
-    new = [entrant for entrant in given.entrants if entrant.name not in known]
-    if not new:
-        raise ExperimentError(f"{wanted.file} has no entrant that does not take part already")
-    return admissions(given, new, journal.ADD, wanted.why, now)
+def _paused(course: Course, state: SeasonState | None, who: str) -> str:
+    """Return why somebody, or `EVERYBODY`, is paused; empty if not."""
+    if state is not None and course.in_season:
+        return state.paused if who == EVERYBODY else state.entrant(who).paused
+    if who not in (EVERYBODY, *course.entrants):
+        raise ExperimentError(f"there is no entrant {who:.80}")
+    return course.paused.get(who, "")
 
 
 def _ended(state: SeasonState | None, name: str, why: str, now: datetime) -> list[Act]:

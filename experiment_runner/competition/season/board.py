@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from itertools import accumulate
+from itertools import accumulate, product
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ from experiment_runner.competition.records.journal import EVERYBODY, Act, time_t
 from experiment_runner.competition.season.schedule import queue
 from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.settings import Competition
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 
@@ -52,7 +52,7 @@ _DID: Final = re.compile(
     r"ran out of time|used more than [\d.e+]+ s in all|took more than [\d.e+]+ s to initialise|"
     r"sent a malformed message"
 )
-"""What a hub says of an agent that has failed, after its name and before its own words."""
+"""The words of a hub between the name of an agent that has failed and the agent's own."""
 
 _TIMES: Final = 200
 _FLIPS: Final = 999
@@ -118,6 +118,7 @@ class EntrantRow:
         missing: why it has no place; empty if it has one.
         paused: why its attempts wait, for its owner and the organiser; empty if they need not.
         mine: whether this viewer is its owner.
+        late: share of late actions in the attempts that count, in the tasks with a rate; NaN without one.
     """
 
     shown: str
@@ -135,6 +136,7 @@ class EntrantRow:
     missing: str = ""
     paused: str = ""
     mine: bool = False
+    late: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +191,7 @@ def season_board(results: Results, course: Course, now: datetime, viewer: str = 
     Raises:
         ExperimentError: the run cannot be read, or the competition has no season.
     """
-    return Boards(course, results.outcomes(), results.verdicts(), now).seen_by(viewer)
+    return Boards(course, results.outcomes(), results.verdicts(), results.late_actions(), now).seen_by(viewer)
 
 
 class Boards:
@@ -198,7 +200,7 @@ class Boards:
 
     Args:
         course: tasks, entrants and acts.
-        outcomes, verdicts: of the trials, by id.
+        outcomes, verdicts, late: of the trials, by id, as `Results` returns them.
         now: the time.
 
     Raises:
@@ -210,6 +212,7 @@ class Boards:
         course: Course,
         outcomes: Mapping[str, TrialEnd],
         verdicts: Mapping[str, ReplayVerdict],
+        late: Mapping[str, tuple[int, int]],
         now: datetime,
     ) -> None:
         state = SeasonState.of(course)
@@ -217,7 +220,7 @@ class Boards:
             (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts)
             for one in state.attempts("over")
         }
-        self._facts = _Facts(course, state, played, now)
+        self._facts = _Facts(course, state, played, late, now)
 
     def seen_by(self, viewer: str) -> SeasonBoard:
         """Return the board for `PUBLIC`, for `ORGANISER` or for the entrant of this name."""
@@ -249,17 +252,21 @@ class _Played:
 
 
 class _Facts(NamedTuple):
-    """What the boards for all viewers are made of; `played` has each attempt's entrant and number."""
+    """The data of the boards for all viewers.
+
+    `played` has each attempt's entrant and number, `late` the late and all actions of each trial with a rate.
+    """
 
     course: Course
     state: SeasonState
     played: Mapping[tuple[str, int], _Played]
+    late: Mapping[str, tuple[int, int]]
     now: datetime
 
 
 @dataclass(slots=True)
 class _Placed:
-    """What places an entrant: the attempts that stand, by the time from which each does, with their scores.
+    """The standing attempts that place an entrant, by the time from which each does, with their scores.
 
     Args:
         name: of the entrant.
@@ -291,14 +298,17 @@ def _played_in(
     verified = True
     for task in competition.proving:
         for number in range(competition.trials):
-            at = (attempt.number - 1) * competition.trials + number
-            trial = TrialId.of(attempt.entrant, task.name, at)
+            trial = _trial(attempt.entrant, attempt.number, task.name, number, competition)
             outcome, verdict = outcomes.get(trial), verdicts.get(trial)
             verified &= outcome is not None and verdict is not None and verdict.problem is None
             if outcome is not None and outcome.reason is not None:
                 forfeits.append(Forfeit(task.name, number, outcome.reason))
             scores.setdefault(task.name, []).append(math.nan if verdict is None else verdict.score)
     return _Played(scores, tuple(forfeits), verified)
+
+
+def _trial(entrant: str, attempt: int, task: str, number: int, competition: Competition) -> TrialId:
+    return TrialId.of(entrant, task, (attempt - 1) * competition.trials + number)
 
 
 class _Board:
@@ -437,7 +447,15 @@ class _Board:
             like=placed.like,
             places=tuple(self._over_time[name]),
             missing="",
+            late=self._late(placed),
         )
+
+    def _late(self, placed: _Placed) -> float:
+        competition = self._facts.course.competition
+        counting = product(placed.counting, self._tasks, range(competition.trials))
+        trials = [_trial(placed.name, *one, competition) for one in counting]
+        late, actions = (sum(self._facts.late.get(trial, (0, 0))[i] for trial in trials) for i in (0, 1))
+        return late / actions if actions else math.nan
 
     def _attempt(self, one: Attempt, knows: bool) -> AttemptRow:
         row = AttemptRow(

@@ -60,6 +60,15 @@ class _Request(msgspec.Struct, tag_field="do", tag=str.lower, forbid_unknown_fie
     pass
 
 
+class Admitted(msgspec.Struct, forbid_unknown_fields=True):
+    """An entrant that can be started: name, player, id and alias as of an act of the journal."""
+
+    name: str
+    player: str
+    id: str = ""
+    alias: str = ""
+
+
 class Organise(_Request, tag="act"):
     """An act of the organiser; see `experiment_runner.competition.season.acts`.
 
@@ -69,6 +78,7 @@ class Organise(_Request, tag="act"):
         why: the reason; the text of an announcement.
         number: the number of an attempt, or of attempts granted; 0 for none.
         file: of `add`, the competition's file with the new entrants.
+        admitted: of `add`, these entrants.
     """
 
     act: str
@@ -76,6 +86,7 @@ class Organise(_Request, tag="act"):
     why: str = ""
     number: int = 0
     file: str = ""
+    admitted: tuple[Admitted, ...] = ()
 
 
 class Enrol(_Request):
@@ -134,7 +145,7 @@ class Submit(_Request):
 
 
 class Status(_Request):
-    """What plays, and what waits."""
+    """The attempts that play, and those that wait."""
 
 
 Request = Organise | Enrol | Attempt | Key | Withdraw | Submit | Status
@@ -157,7 +168,7 @@ class Door(Closing):
         self._clock = clock
         self._path = directory / CONTROL
         self._clients: dict[socket.socket, tuple[bytearray, float]] = {}
-        """What each has sent, and the time by which it has to be complete."""
+        """The bytes that each has sent, and the time by which its request has to be complete."""
         self._ready = selectors.DefaultSelector()
         self._listener = socket.socket(socket.AF_UNIX)
         with reported(f"cannot make {self._path}"), _short(directory) as short:
@@ -272,7 +283,7 @@ def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> R
         with _short(directory) as short, socket.socket(socket.AF_UNIX) as client:
             client.settimeout(seconds)
             client.connect(short)
-            client.sendall(json.dumps(request).encode() + b"\n")
+            client.sendall(json.dumps(request, default=msgspec.to_builtins).encode() + b"\n")
             line = client.makefile("rb").readline(_MOST_BYTES_OF_REPLY)
             if not line.endswith(b"\n"):
                 raise ConnectionError("its reply is not whole")

@@ -1,4 +1,4 @@
-"""What entrants' programs ask a season for, over HTTP: routes of the page's server, below `/season/api/`.
+"""Requests of entrants' programs to a season, over HTTP: routes of the page's server, below `/season/api/`.
 
     POST join       name, key, code, team: enrol; answers with hub_key, token and alias
     POST attempt    attempt: how it goes, or a new one
@@ -42,14 +42,13 @@ from experiment_runner.competition.season.control import NoServer, ask
 from experiment_runner.competition.season.images import MODULE
 from experiment_runner.competition.season.trying import tasks_of
 from experiment_runner.competition.settings import load_competition
-from experiment_runner.competition.starters import name_of_run
 from experiment_runner.store.layout import COMPETITION_FILE
 from glue.client.season import PREFIX
 from glue.console import one_line
 from glue.errors import GlueError
 from glue.files import open_regular
 from glue.keys.certificates import decode
-from glue.keys.requests import DIGEST, ENTRANT, Once, Unsigned, check
+from glue.keys.requests import DIGEST, ENTRANT, TIME, Once, Unsigned, check
 
 _MOST_JSON: Final = 2**14
 _MOST_UPLOADS: Final = 4
@@ -58,6 +57,10 @@ _MOST_UPLOADS: Final = 4
 _JSON_SECONDS: Final = 10.0
 _UPLOAD_SECONDS: Final = 900.0
 """Time for the body of a request to come."""
+
+_GRACE_SECONDS: Final = 30.0
+_LEAST_RATE: Final = 2**18
+"""Bytes per second at which a body has to come after that time: who is slower would keep others waiting."""
 
 _LOAD_SECONDS: Final = 900.0
 """Time to check an image, and for the engine to take it."""
@@ -159,6 +162,7 @@ class _Entrance:
     def __init__(self, directory: Path, now: Callable[[], float]) -> None:
         self._directory = directory
         self._now = now
+        self._began = int(now())
         self._once = Once()
         self._of_address = Rate(50, 500, now)
         self._joins = Rate(0.2, 60, now)
@@ -181,7 +185,7 @@ class _Entrance:
         return await self._ask({**body, "do": "enrol"})
 
     def passing(self, do: str) -> _Endpoint:
-        """Return what passes a signed request on, as that of its entrant."""
+        """Return the endpoint that passes a signed request on as that of its entrant."""
 
         async def pass_on(request: Request) -> _Answer:
             entrant = await self._sender(request)
@@ -209,7 +213,7 @@ class _Entrance:
             raise Denied(f"the image has {int(size) / 2**20:.1f} MiB, and {most} are allowed", 413)
         with self._upload(entrant, int(size)) as file:
             await _received(request, file, int(size), _UPLOAD_SECONDS)
-            found = await _loaded(file.name, season.most_bytes, f"glue-season/{name_of_run(self._directory)}")
+            found = await _loaded(file.name, season.most_bytes, self._directory)
         return await self._ask({"do": "submit", "entrant": entrant, "image": found, "name": found})
 
     @contextmanager
@@ -251,6 +255,8 @@ class _Entrance:
         try:
             check(decode(key), request.method, request.url.path, request.headers, now)
             self._of_entrant.take(entrant)
+            if (late := self._began - int(request.headers[TIME])) > 0:  # an earlier page may have had it
+                raise Denied("the page was started after the request was signed: sign it anew", 503, late)
             self._once.remember(request.headers, now)
         except Unsigned as error:
             raise Denied(f"the request {error}", 403) from None
@@ -283,16 +289,21 @@ async def _received(request: Request, file: BinaryIO, most: int, seconds: float)
     """Write the body of a request to a file, if it is what was signed."""
     digest, count = hashlib.sha256(), 0
     try:
-        async with asyncio.timeout(seconds):
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        async with asyncio.timeout(min(seconds, _GRACE_SECONDS)) as limit:
             async for piece in request.stream():
                 count += len(piece)
+                limit.reschedule(began + min(seconds, _GRACE_SECONDS + count / _LEAST_RATE))
                 if count > most:
                     raise Denied(f"the body has more than {most:,} bytes", 413)
                 digest.update(piece)
                 await run_in_threadpool(file.write, piece)
         await run_in_threadpool(file.flush)
     except TimeoutError:
-        raise Denied(f"the body has not come within {seconds:g} s", 408) from None
+        raise Denied(
+            f"the body has not come in time: {count:,} bytes in {loop.time() - began:.0f} s", 408
+        ) from None
     if request.headers.get(DIGEST) != digest.hexdigest():
         raise Denied("the body is not the one that was signed: send it again")
 
@@ -304,9 +315,9 @@ def _remove_unless_received(upload: Path) -> None:
         upload.unlink()
 
 
-async def _loaded(path: str, most: int, repository: str) -> str:
+async def _loaded(path: str, most: int, directory: Path) -> str:
     """Load an image into the engine, in a process of its own; return its id."""
-    command = (sys.executable, "-P", "-m", MODULE, path, str(most), repository)
+    command = (sys.executable, "-P", "-m", MODULE, path, str(most), str(directory))
     process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
     try:
         async with asyncio.timeout(_LOAD_SECONDS):

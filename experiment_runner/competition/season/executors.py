@@ -12,8 +12,7 @@ from experiment_runner.competition.season.worker import MODULE, REPORTS, work
 from experiment_runner.competition.settings import Competition
 from experiment_runner.executors.dispatcher import Executor
 from experiment_runner.executors.job import Ended, Lost
-from experiment_runner.executors.ray_cluster import RayExecutor
-from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.executors.workers import LocalExecutor, RayExecutor
 from experiment_runner.plan.limits import Backend
 
 

@@ -9,15 +9,15 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
-from experiment_runner.competition.board.forms import line_of, number, plain
+from experiment_runner.competition.board.forms import LATE, line_of, number, plain
 from experiment_runner.competition.board.standings import Standings, standings
 from experiment_runner.competition.course import Course
 from experiment_runner.competition.records.journal import utc_now
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
 from experiment_runner.report.tables import format_table
-from experiment_runner.store.output import csv_row, finite
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import csv_row, finite
 from glue.console import one_line
 
 _LEGEND: Final = (
@@ -33,7 +33,8 @@ def as_text(board: SeasonBoard, width: int | None = None) -> str:
         board: the board.
         width: of the terminal in characters, None for no limit.
     """
-    header = ("place", "entrant", "score", "95 % interval", "as", *board.tasks, "attempts")
+    late = ["late"] if any(not math.isnan(row.late) for row in board.entrants) else []
+    header = ("place", "entrant", "score", "95 % interval", "as", *board.tasks, *late, "attempts")
     rows = [
         (
             str(row.place),
@@ -42,6 +43,7 @@ def as_text(board: SeasonBoard, width: int | None = None) -> str:
             f"{number(row.low)} .. {number(row.high)}",
             "" if row.like is None else str(row.like),
             *(number(row.tasks[task]) for task in board.tasks),
+            *("" if math.isnan(row.late) else f"{row.late:.1%}" for _ in late),
             ", ".join(f"{count} {state}" for state, count in row.counts.items()),
         )
         for row in board.entrants
@@ -63,7 +65,7 @@ def as_text(board: SeasonBoard, width: int | None = None) -> str:
     notes += [line_of(one) for one in board.acts]
     if notes:
         parts.append("\n".join(notes))
-    return "\n\n".join((*parts, "\n".join(_LEGEND)))
+    return "\n\n".join((*parts, "\n".join([*_LEGEND, *([LATE] if late else [])])))
 
 
 def boards_as_json(results: Results, course: Course) -> str:

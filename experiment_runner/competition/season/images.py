@@ -1,9 +1,10 @@
 """The image that an entrant has uploaded: check it, and load it into the engine without its names.
 
-    python -P -m experiment_runner.competition.season.images FILE BYTES REPOSITORY
+    python -P -m experiment_runner.competition.season.images FILE BYTES DIR
 
-FILE is a tar of `docker save`, and BYTES the size that its image may have. The result is a line of JSON: `id`
-of the image, or `error`. It is a process of its own, with little memory: a stranger wrote the file.
+FILE is a tar of `docker save`, BYTES the size that its image may have, and DIR the season's directory. The
+result is a line of JSON: `id` of the image, or `error`. It is a process of its own, with little memory: a
+stranger wrote the file. Images with which nobody plays any more leave the engine before.
 
 The engine would load whatever is in such a file: several images, under any name, so that one of this machine
 would mean another image afterwards; a layer that is small and unpacks to terabytes; a sparse file. So it gets
@@ -25,11 +26,15 @@ import tarfile
 import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from datetime import timedelta
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Final, Self, cast
 
+from experiment_runner.competition.course import course_of
 from experiment_runner.competition.jail import check_image
+from experiment_runner.competition.records.journal import utc_now
+from experiment_runner.competition.starters import name_of_run
 from glue.console import one_line
 from glue.errors import ConfigError, GlueError
 from glue.files import open_regular
@@ -47,6 +52,9 @@ _MOST_SHOWN: Final = 300
 
 _BLOCK: Final = 4096
 """Bytes that a file or folder takes at least."""
+
+_NEW_SECONDS: Final = 3600.0
+"""Age until which an image stays in the engine although nobody plays with it: it may be about to."""
 
 _PIECE: Final = 2**16
 _HEAD: Final = 8
@@ -247,9 +255,26 @@ def _named(what: str) -> Iterator[None]:
         raise UnfitImage(f"{what} is not as docker save writes it: {why}") from None
 
 
+def remove_others(directory: Path) -> None:
+    """Remove the images of a season from the engine with which nobody plays any more.
+
+    Raises:
+        ConfigError: there is no engine, or no client of it.
+        ExperimentError: the season cannot be read, or the engine cannot remove them.
+    """
+    from experiment_runner.competition.containers import Containers
+
+    until = utc_now() - timedelta(seconds=_NEW_SECONDS)
+    Containers().tidy(_repository(directory), course_of(directory).images, until)
+
+
+def _repository(directory: Path) -> str:
+    return f"glue-season/{name_of_run(directory)}"
+
+
 def main() -> None:
     """Check and load the file that the arguments name."""
-    path, most, repository = sys.argv[1:]
+    path, most, directory = sys.argv[1:]
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     try:
         with open_regular(Path(path)) as source, tempfile.TemporaryFile(dir=Path(path).parent) as copy:
@@ -257,7 +282,9 @@ def main() -> None:
             from experiment_runner.competition.containers import Containers  # needs an extra
 
             copy.seek(0)
-            found = {"id": Containers().load(copy, repository)}
+            with suppress(GlueError):
+                remove_others(Path(directory))
+            found = {"id": Containers().load(copy, _repository(Path(directory)))}
     except GlueError as error:
         found = {"error": str(error)}
     except OSError as error:  # not of the image

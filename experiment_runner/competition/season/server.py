@@ -14,7 +14,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import hmac
-import itertools
 import math
 import re
 from collections import deque
@@ -23,6 +22,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Final
 
+from experiment_runner.competition.aliases import derived, pseudonym
 from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.course import IMAGE_ID, Course, course_of, entrant_of
 from experiment_runner.competition.match import NOT_CONNECTED, Match
@@ -48,7 +48,7 @@ from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.trials import attempt_trials, levels
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.store import Store
 from glue.console import one_line
@@ -82,10 +82,6 @@ _MAX_NAME: Final = 200
 
 _MOST_SHOWN: Final = 200
 """Maximum number of waiting attempts in a status."""
-
-_COLOURS: Final = ("amber", "azure", "coral", "crimson", "emerald", "golden", "indigo", "ivory", "jade")
-_ALIASES: Final = 1_000_000
-_ANIMALS: Final = ("badger", "crane", "falcon", "fox", "heron", "ibis", "lynx", "otter", "owl", "raven")
 
 
 @dataclass(slots=True)
@@ -177,7 +173,6 @@ class Server(Matches):
             if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
                 self._admit(one)
         self._directory = store.directory.absolute()
-        self._dispatcher: Dispatcher | None = None
         self._slots: dict[str, _Slot] = {}
         self._until: dict[str, float] = {}
         """When each trial that is played or replayed has to be over."""
@@ -221,7 +216,7 @@ class Server(Matches):
 
     def begin(self, dispatcher: Dispatcher) -> None:
         """Go on with the attempts that were played when the server before this one ended."""
-        self._dispatcher = dispatcher
+        super().begin(dispatcher)
         for name in self._named:
             starter_for(self._player(self._state.entrants[name].act)).sweep(name_of_run(self._directory))
         playing = {(one.entrant, one.number) for one in self._state.attempts("playing")}
@@ -232,9 +227,8 @@ class Server(Matches):
 
     def turn(self, seconds: float = 0.0) -> bool:
         """Start what can start, and store what is reported within `seconds`; return whether anything runs."""
-        assert self._dispatcher is not None
         self._look()
-        return self._dispatcher.turn(seconds)
+        return self.dispatcher.turn(seconds)
 
     # What others ask for
 
@@ -263,8 +257,8 @@ class Server(Matches):
 
     def _organise(self, wanted: control.Organise) -> Reply:
         outcomes = self._store.outcomes() if "/" in wanted.subject else ()
-        given = competition_given(wanted)
-        acts = acts_for(wanted, given, self._course, self._state, outcomes, self._now())
+        given = competition_given(wanted, self._course)
+        acts = acts_for(wanted, self._course, outcomes, self._now(), self._state)
         if given is not None:
             added = {one.subject for one in acts}
             self._named |= {entrant.name: entrant for entrant in given.entrants if entrant.name in added}
@@ -288,11 +282,12 @@ class Server(Matches):
             key = encode(decode_key(wanted.key))
         except ValueError:
             raise ExperimentError("the key is not a public key, as glue-keys makes it") from None
-        token = base64.urlsafe_b64encode(self._draw("token", name)[:18]).decode()
+        token = base64.urlsafe_b64encode(derived(self._secret, "token", name)[:18]).decode()
         if self._keys.get(name) != key:
             self._check_new(name, key)
             digest = hashlib.sha256(token.encode()).hexdigest()
-            more = {"alias": self._alias(name), "team": wanted.team, "token": digest}
+            taken = [alias for kind, alias in self._taken if kind == "alias"]
+            more = {"alias": pseudonym(name, self._secret, taken), "team": wanted.team, "token": digest}
             self._record(act(journal.ENROL, name, "", now=self._now(), player=f"{name}.key", id=key, **more))
         hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
         return {"hub_key": hub_key, "token": token, "alias": self._state.entrants[name].act.alias}
@@ -306,17 +301,6 @@ class Server(Matches):
             raise ExperimentError(
                 f"{len(self._state.entrants)} take part, and there is no room for more: ask the organiser"
             )
-
-    def _alias(self, name: str) -> str:
-        """Return a pseudonym that says nothing of the name, and that nobody has."""
-        drawn = int.from_bytes(self._draw("alias", name))
-        alias = f"{_COLOURS[drawn % len(_COLOURS)]} {_ANIMALS[drawn // len(_COLOURS) % len(_ANIMALS)]}"
-        rest = drawn // (len(_COLOURS) * len(_ANIMALS))
-        numbered = (f"{alias} {(rest + number) % _ALIASES}" for number in itertools.count())
-        return next(one for one in itertools.chain([alias], numbered) if ("alias", one) not in self._taken)
-
-    def _draw(self, *names: str) -> bytes:
-        return hmac.digest(self._secret, "\0".join(names).encode(), hashlib.sha256)
 
     def _attempt(self, name: str, number: int) -> Reply:
         entrant = self._state.taking_part(name)
@@ -374,8 +358,9 @@ class Server(Matches):
         clock = self._clock()
         if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
             self._boards, self._boards_of = None, len(self._acts)
-            outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
-            self._boards = Boards(self._course, outcomes, verdicts, self._now())
+            of = self._store
+            trials = of.outcomes(), of.verdicts(), of.late_actions()
+            self._boards = Boards(self._course, *trials, self._now())
             self._boards.seen_by(ANYBODY)
             self._boards_until = self._clock() + 4 * (self._clock() - clock)
         return self._boards
@@ -452,7 +437,7 @@ class Server(Matches):
                 self._admit(one)
             elif one.act == journal.REQUEST:
                 self._queued[one.subject] = self._clock()
-            self._say(_line(one))
+            self._say(one.line)
         for slot in list(self._slots.values()):
             if self._state.attempt(slot.entrant.name, slot.attempt.number).state != "playing":
                 self._leave(slot)
@@ -509,12 +494,21 @@ class Server(Matches):
 
     def _begin(self, one: Attempt) -> None:
         """Let an attempt play, if there is a slot for it."""
-        slot, plays = self._free_slot(), self._state.entrants[one.entrant].act
+        slot = self._free_slot()
         if slot is not None:
+            plays = self._plays(one)
             more = {"player": plays.player, "id": plays.id, "value": str(slot)}
             start = act(journal.START, one.entrant, "", now=self._now(), number=one.number, **more)
             self._record(start)
             self._take_slot(start, {}, {}, resumed=False)
+
+    def _plays(self, one: Attempt) -> Act:
+        """Return an act with the player of an attempt: an image is run again as it was."""
+        present = self._state.entrants[one.entrant].act
+        for played in reversed(self._acts if one.instead else ()):
+            if (played.act, played.subject, played.number) == (journal.START, one.entrant, one.instead):
+                return played if IMAGE_ID.fullmatch(played.id) else present
+        return present
 
     def _free_slot(self) -> int | None:
         """Return a slot that is free, and does not rest since an attempt failed there; None without one."""
@@ -569,16 +563,20 @@ class Server(Matches):
 
     def _add(self, trial_id: str) -> None:
         """Let a trial be played, or replayed."""
-        assert self._dispatcher is not None
         limits = self._competition.limits
         seconds = 2 * limits.start_seconds + limits.total_seconds + _SLACK_SECONDS
         self._until[trial_id] = self._clock() + seconds
-        self._dispatcher.add(trial_id)
+        self.dispatcher.add(trial_id)
 
     def _note_forfeit(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
-        if outcome.reason is not None and not slot.forfeit:
+        if outcome.reason is None:
+            return
+        if not slot.forfeit:
             _, task, number = TrialId(trial_id).parts
             slot.forfeit = f"{task}, trial {number % self._competition.trials}: {outcome.reason}"
+        if slot.entrant.key is not None and outcome.reason.startswith(NOT_CONNECTED):
+            for left in slot.left:  # nobody waits for it in each of them again
+                self.matches[left] = replace(self.matches[left], absent=outcome.reason)
 
     def _end(self, slot: _Slot) -> None:
         """Record that an attempt is over, and pause an entrant that fails again and again."""
@@ -609,17 +607,12 @@ class Server(Matches):
 
     def _leave(self, slot: _Slot) -> None:
         """Take the slot from an attempt that is no longer played."""
-        assert self._dispatcher is not None
         del self._slots[slot.entrant.name]
         for trial_id in slot.trials:
-            self._dispatcher.cancel(trial_id)
+            self.forget(trial_id)
             self._until.pop(trial_id, None)
             self._replays.pop(trial_id, None)
             self._verified.pop(trial_id, None)
-            self._forfeits.pop(trial_id, None)
-            self.matches.pop(trial_id, None)
-            if trial_id in self._records:
-                self._records.pop(trial_id).close()
 
     # The collector of the dispatcher
 
@@ -654,7 +647,7 @@ class Server(Matches):
                 self._fail(slot, f"{trial_id} could not be verified: {verdict.problem}")
             else:
                 self._go_on(slot)
-        elif slot.resumed and NOT_CONNECTED in self._forfeits.get(trial_id, ""):
+        elif slot.resumed and self._forfeits.get(trial_id, "").startswith(NOT_CONNECTED):
             super().end(trial_id, "the server was restarted, and its program did not come back")
             self._fail(slot, "the server was restarted, and its program did not come back")
         else:
@@ -670,9 +663,3 @@ def _progress(slot: _Slot) -> dict[str, int]:
     """Return which trial of an attempt is played or was last, from 1, and how many there are."""
     count = len(slot.trials)
     return {"trial": min(count - len(slot.left) + 1, count), "trials": count}
-
-
-def _line(one: Act) -> str:
-    """Return an act as a line of the log."""
-    number = f" {one.number}" if one.number else ""
-    return f"{one.act} {one.subject}{number}" + (f": {one.reason}" if one.reason else "")

@@ -7,14 +7,18 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from datetime import datetime
 
+from experiment_runner.competition.board.forms import line_of
+from experiment_runner.competition.organiser import Held
 from experiment_runner.competition.records.journal import utc_now
-from experiment_runner.competition.season.control import Door
+from experiment_runner.competition.season.acts import acts_for, competition_given
+from experiment_runner.competition.season.control import Door, Organise, Reply, Request
 from experiment_runner.competition.season.server import Server, gate_of
 from experiment_runner.competition.settings import Competition, Gate
 from experiment_runner.executors.dispatcher import Executor
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.store.store import Store
-from glue.errors import ConfigError
+from glue.errors import ConfigError, ExperimentError
+from glue.hub.io.listener import reserve
 from glue.keys.allowed import HUB
 from glue.keys.certificates import SECRET, read_pair
 
@@ -38,6 +42,23 @@ def check_gate(competition: Competition, gate: Gate | None) -> None:
         )
 
 
+def answering(door: Door) -> Callable[[Held, float], None]:
+    """Return what carries out the acts of the organiser of a competition that is held at once."""
+
+    def visit(held: Held, seconds: float) -> None:
+        def answer(request: Request) -> Reply:
+            if not isinstance(request, Organise):
+                raise ExperimentError("the season is over, and its final is played")
+            given = competition_given(request, held.course)
+            acts = acts_for(request, held.course, held.over, utc_now())
+            held.record(acts, given)
+            return {"acts": [line_of(one) for one in acts]}
+
+        door.serve(answer, seconds)
+
+    return visit
+
+
 def serve(
     store: Store,
     competition: Competition,
@@ -50,14 +71,19 @@ def serve(
     now: Callable[[], datetime] = utc_now,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Serve a season until it is closed; see `Server`.
+    """Serve a season until it is closed; see `Server`. Nobody else can take its ports between two matches.
 
     Raises:
+        ConfigError: a port is in use.
         StorageError: the run cannot be written to.
         ExperimentError: the executor can run nothing.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
     with ExitStack() as stack:
+        assert competition.season is not None
+        if gate is not None:
+            for slot in range(competition.season.parallel):
+                stack.enter_context(reserve(gate_of(gate, slot).bind))
         server = stack.enter_context(
             Server(store, competition, secret, code, gate, say, now=now, clock=clock)
         )

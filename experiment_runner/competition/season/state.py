@@ -117,7 +117,7 @@ class Enrolled:
 
 @dataclass(slots=True)
 class SeasonState:
-    """What the acts of a journal have made of a season.
+    """The state of a season after the acts of its journal.
 
     Args:
         season: its rules, with the changes that were made to them.

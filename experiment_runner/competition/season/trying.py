@@ -33,7 +33,7 @@ _LEVELS: Final = ("level_seed", "mdp")
 
 
 def tasks_of(competition: Competition) -> Mapping[str, Any]:
-    """Return what entrants may know of the tasks of a season, for JSON."""
+    """Return the public part of the tasks of a season, for JSON."""
     tasks = []
     for task in competition.proving:
         kept = (name for name in task.options if name not in _LEVELS or not task.hidden)

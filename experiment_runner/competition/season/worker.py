@@ -1,4 +1,4 @@
-"""What a season's workers do: play a trial, or replay one that is over."""
+"""A worker of a season: it plays a trial, or replays one that is over."""
 
 from __future__ import annotations
 

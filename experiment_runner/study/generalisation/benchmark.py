@@ -17,7 +17,7 @@ from typing import Any, Final
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import VERSION, LevelFolder
 from experiment_runner.executors.opening import Definition, open_run
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, RoleSweep, TrialSpec
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store

@@ -14,13 +14,7 @@ from typing import Any, Final
 from env_server.mario import InfiniteMario
 from env_server.mario.game import Game
 from env_server.mario.level_sets import VERSION, LevelFolder, LevelSet
-from experiment_runner.study.generalisation.players import (
-    ACTIONS,
-    Noise,
-    is_won,
-    level_set,
-    scored_levels,
-)
+from experiment_runner.study.generalisation.players import ACTIONS, Noise, is_won, level_set, scored_levels
 from experiment_runner.study.generalisation.summary import Document
 from glue.errors import ConfigError
 

@@ -9,27 +9,12 @@ from typing import Final
 
 import numpy as np
 
+from experiment_runner.analysis import stats
 from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.analysis.stats import (
-    Estimate,
-    FloatArray,
-    bootstrap_rng,
-    convergence_episode,
-    estimate,
-    mean,
-    mean_of_last,
-    running_mean,
-)
 from experiment_runner.plan.plan import RoleSpec
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.results import Results
-from experiment_runner.study.paper.experiments import (
-    EXPERIMENTS,
-    PaperExperiment,
-    PaperLevel,
-    Published,
-    level_of,
-)
+from experiment_runner.study.paper import experiments
 from glue.engine.local import local
 from glue.errors import ExperimentError
 from glue.options import build
@@ -63,11 +48,11 @@ class LevelResults:
     episodes    number in all trials, also in unfinished ones
     """
 
-    experiment: PaperExperiment
+    experiment: experiments.PaperExperiment
     agent: str
-    level: PaperLevel
+    level: experiments.PaperLevel
     planned: int
-    curves: FloatArray
+    curves: stats.FloatArray
     values: tuple[int, ...]
     steps: int
     seconds: float
@@ -75,25 +60,25 @@ class LevelResults:
     episodes: int = 0
 
     @property
-    def published(self) -> Published | None:
+    def published(self) -> experiments.Published | None:
         """The paper's numbers, None if it has none for this agent and level."""
         faithful = self.agent == self.experiment.agents[0].label
         return self.experiment.published.get(self.level.difficulty) if faithful else None
 
     @property
-    def rewards(self) -> FloatArray:
+    def rewards(self) -> stats.FloatArray:
         """The mean return of each trial's last `WINDOW` episodes, (trials,)."""
-        return np.array([mean_of_last(trial, WINDOW) for trial in self.curves])
+        return np.array([stats.mean_of_last(trial, WINDOW) for trial in self.curves])
 
     @property
-    def reward(self) -> Estimate:
+    def reward(self) -> stats.Estimate:
         """The mean of `rewards`, with its 95 % bootstrap interval."""
-        return estimate([self.rewards], mean, bootstrap_rng())
+        return stats.estimate([self.rewards], stats.mean, stats.bootstrap_rng())
 
     @property
     def reached(self) -> int | None:
         """The episode at which the mean curve first reached its final value; see `reach_episode`."""
-        return reach_episode(mean(self.curves))
+        return reach_episode(stats.mean(self.curves))
 
     @property
     def trials_reached(self) -> list[int]:
@@ -106,15 +91,15 @@ class LevelResults:
 
         A relapse of a single trial can delay it; see `convergence_episode`.
         """
-        return convergence_episode(mean(self.curves), WINDOW, TOLERANCE)
+        return stats.convergence_episode(stats.mean(self.curves), WINDOW, TOLERANCE)
 
     @property
     def trials_settled(self) -> list[int]:
         """The value of `settled` of each trial that settled, ascending."""
-        return _ascending(convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves)
+        return _ascending(stats.convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves)
 
     @property
-    def finishing(self) -> FloatArray:
+    def finishing(self) -> stats.FloatArray:
         """The share of each trial's last `WINDOW` episodes that reached the goal, 0 to 1, (trials,)."""
         return np.array([np.mean(trial[-WINDOW:] >= FINISHED) for trial in self.curves])
 
@@ -124,12 +109,12 @@ class LevelResults:
         return int(np.sum(self.finishing >= 0.5))
 
 
-def reach_episode(returns: FloatArray) -> int | None:
+def reach_episode(returns: stats.FloatArray) -> int | None:
     """Return the episode at which the running mean is first at least its final value less `TOLERANCE`.
 
     It shows how fast an agent learns, regardless of later relapses. None for fewer than `WINDOW` episodes.
     """
-    means = running_mean(returns, WINDOW)
+    means = stats.running_mean(returns, WINDOW)
     return int(np.argmax(means >= means[-1] - TOLERANCE)) + WINDOW if means.size else None
 
 
@@ -143,7 +128,7 @@ def load(directory: Path) -> list[LevelResults]:
         ExperimentError: one of the runs is not of this study, or cannot be read.
     """
     outcomes = []
-    for name, experiment in EXPERIMENTS.items():
+    for name, experiment in experiments.EXPERIMENTS.items():
         with reported(f"cannot read {directory / name}"):
             begun = holds_run(directory / name)
         if begun:
@@ -153,7 +138,7 @@ def load(directory: Path) -> list[LevelResults]:
     return outcomes
 
 
-def _outcome(experiment: PaperExperiment, setting: Setting, results: Results) -> LevelResults:
+def _outcome(experiment: experiments.PaperExperiment, setting: Setting, results: Results) -> LevelResults:
     spec = setting.trials[0].spec
     if spec.agent is None or spec.environment is None:
         raise ExperimentError(f"{results.directory} is not a run of experiment {experiment.name}")
@@ -162,7 +147,7 @@ def _outcome(experiment: PaperExperiment, setting: Setting, results: Results) ->
     return LevelResults(
         experiment,
         spec.agent.label,
-        level_of(spec.environment),
+        experiments.level_of(spec.environment),
         len(setting.trials),
         setting.curves(),
         values,

@@ -10,7 +10,7 @@ from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.report.plots import learning_curves, save, scatter
 from experiment_runner.report.tables import counted
 from experiment_runner.store.database import reported
-from experiment_runner.store.output import written
+from experiment_runner.store.run_data import written
 from experiment_runner.study.paper.experiments import ALL, EXPERIMENTS, PAPER_LEVEL, SOAR, PaperLevel
 from experiment_runner.study.paper.outcomes import WINDOW, LevelResults, load
 from experiment_runner.study.paper.tables import as_csv, as_markdown, as_soar_markdown

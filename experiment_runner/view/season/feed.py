@@ -1,4 +1,4 @@
-"""What happens in a season, as an Atom feed (RFC 4287): announcements, acts, and attempts that are over."""
+"""The events of a season as an Atom feed (RFC 4287): announcements, acts, and attempts that are over."""
 
 from __future__ import annotations
 

@@ -22,11 +22,11 @@ from experiment_runner.competition.season.board import PUBLIC
 from experiment_runner.competition.season.control import NoServer, Reply, ask
 from experiment_runner.view.app import application, file_routes, static_file
 from experiment_runner.view.guard import READING, Address, Guard, cookie_of
-from experiment_runner.view.reader import Cache, Reader, json_response
 from experiment_runner.view.season.metrics import metrics_of
 from experiment_runner.view.season.replays import Replays
 from experiment_runner.view.season.views import Views, digest_of
 from experiment_runner.view.server import Connection
+from experiment_runner.view.stream import Cache, Reader, json_response
 
 _ENTRANCE: Final = "/season/api/"
 """Prefix of the paths at which the programs of entrants sign what they send."""

@@ -17,10 +17,10 @@ from starlette.exceptions import HTTPException
 from experiment_runner.competition.records.replay import made_for
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.view.episodes import packed
-from experiment_runner.view.reader import Reader
+from experiment_runner.view.stream import Reader
 from glue.errors import ExperimentError
 from glue.trajectory import TrajectoryReader
-from glue.trajectory.steps import Steps
+from glue.trajectory.records import Steps
 from glue.types import Observation, step_of
 
 _MOST_STEPS: Final = 300_000

@@ -1,4 +1,4 @@
-"""What the page of a season shows, as JSON: the board, and each entrant with its attempts."""
+"""The contents of the page of a season as JSON: the board, and each entrant with its attempts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from experiment_runner.competition.season.schedule import left, returns_at
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import Competition, Season
 from experiment_runner.report import svg
-from experiment_runner.store.output import finite
+from experiment_runner.store.run_data import finite
 
 _MOST_LINES: Final = 7
 """Number of entrants whose places over time are drawn on the board: as many as there are colors."""
@@ -186,6 +186,7 @@ def _summary(one: EntrantRow) -> dict[str, Any]:
         "low": finite(one.low),
         "high": finite(one.high),
         "tied": one.like,
+        "late": finite(one.late),
         "counts": dict(one.counts),
         "counting": [attempt.number for attempt in one.attempts if attempt.counts],
         "why": "; ".join(filter(None, (one.missing, one.paused and f"paused: {one.paused}"))),

@@ -14,17 +14,17 @@ from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.records.record import record_path
 from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards
 from experiment_runner.competition.season.state import SeasonState
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.database import DATABASE_FILES, reported
 from experiment_runner.store.layout import JOURNAL_FILE, TOKEN_FILE
 from experiment_runner.store.results import Results
 from experiment_runner.view.catalog import version
 from experiment_runner.view.episodes import episodes_in
-from experiment_runner.view.reader import Cache, as_json
 from experiment_runner.view.season.feed import feed_of
 from experiment_runner.view.season.replays import replayed
 from experiment_runner.view.season.shown import board_as_json, entrant_as_json, row_of, rules_of
 from experiment_runner.view.server import new_token
+from experiment_runner.view.stream import Cache, as_json
 from glue.files import create_regular, read_regular
 
 _MOST_ANSWERS: Final = 512
@@ -50,7 +50,7 @@ class _Season(NamedTuple):
 
 
 class Views:
-    """What each viewer of a season may see. May be called from any thread.
+    """The contents of a season that each viewer may see. May be called from any thread.
 
     Args:
         directory: of the season.
@@ -94,7 +94,7 @@ class Views:
         )
 
     def feed(self) -> bytes:
-        """Return what happens in the season as an Atom feed."""
+        """Return the events of the season as an Atom feed."""
         with self._lock:
             return feed_of(self._season().boards.seen_by(PUBLIC))
 
@@ -173,7 +173,8 @@ class Views:
     def _read(self, signs: object) -> _Season:
         course = course_of(self.directory)
         with Results.open(self.directory) as results:
-            boards = Boards(course, results.outcomes(), results.verdicts(), self._clock())
+            trials = results.outcomes(), results.verdicts(), results.late_actions()
+            boards = Boards(course, *trials, self._clock())
         boards.seen_by(PUBLIC)  # counts as part of the time that it takes
         return _Season(signs, boards, SeasonState.of(course), course)
 

@@ -380,9 +380,7 @@ def answer_lost(kit: Harness) -> None:
 
 
 @RULES.add(
-    Tier.SURVIVES,
-    "breaks-replacements-and-void-episodes",
-    needs=("silent-until-welcomed", "answer-lost"),
+    Tier.SURVIVES, "breaks-replacements-and-void-episodes", needs=("silent-until-welcomed", "answer-lost")
 )
 def call_lost(kit: Harness) -> None:
     """An incomplete message at the end of a connection is discarded: at every step of an episode."""

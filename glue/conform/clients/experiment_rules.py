@@ -14,18 +14,6 @@ from glue.conform.clients.connection import Gone
 from glue.conform.clients.experiment_harness import BOTH, DONE, SEEN, SPEC, ExperimentHarness, Order
 from glue.conform.clients.harness import MAX_BODY, Harness
 from glue.conform.clients.mirror import result
-from glue.conform.forms import (
-    CHARS,
-    DOUBLES,
-    EMPTY,
-    INTS,
-    MANY,
-    MASKED,
-    NOT_UTF_8,
-    REWARDS,
-    TEXTS,
-    WITH_EXTRAS,
-)
 from glue.conform.messages import described, same
 from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.types import CUT_OFF, AbstractType, Action, Observation
@@ -87,8 +75,8 @@ def _shows(*shown: AbstractType) -> list[Order]:
 def ints(kit: ExperimentHarness) -> None:
     """Ints are 32 bits, signed, little-endian."""
     kit.do(
-        *_shows(Observation(INTS)),
-        Order("RL_ENV_STEP", b"", Observation(INTS), scalars=(0.0, False), body=SEEN.body),
+        *_shows(Observation(forms.INTS)),
+        Order("RL_ENV_STEP", b"", Observation(forms.INTS), scalars=(0.0, False), body=SEEN.body),
     )
 
 
@@ -96,27 +84,27 @@ def ints(kit: ExperimentHarness) -> None:
 def doubles(kit: ExperimentHarness) -> None:
     """Doubles keep all their bits: negative zero, NaN, infinities."""
     kit.do(
-        *_shows(Observation([1], DOUBLES)),
-        Order("RL_AGENT_START", b"", Observation([], DOUBLES), body=DONE.body),
+        *_shows(Observation([1], forms.DOUBLES)),
+        Order("RL_AGENT_START", b"", Observation([], forms.DOUBLES), body=DONE.body),
     )
 
 
 @RULES.add(Tier.PLAYS, "bodies")
 def chars(kit: ExperimentHarness) -> None:
     """Chars are any bytes."""
-    kit.do(*_shows(Observation([1], [], CHARS)), Order("RL_AGENT_LOAD", CHARS))
+    kit.do(*_shows(Observation([1], [], forms.CHARS)), Order("RL_AGENT_LOAD", forms.CHARS))
 
 
 @RULES.add(Tier.PLAYS, "bodies")
 def empty(kit: ExperimentHarness) -> None:
     """Any or all of the runs may be empty."""
-    kit.do(*_shows(*EMPTY))
+    kit.do(*_shows(*forms.EMPTY))
 
 
 @RULES.add(Tier.PLAYS, "bodies")
 def counts(kit: ExperimentHarness) -> None:
     """Each of the runs may have more than 65,535 elements."""
-    kit.do(*(Order("RL_ENV_START", body=each.body) for each in MANY))
+    kit.do(*(Order("RL_ENV_START", body=each.body) for each in forms.MANY))
 
 
 @RULES.add(Tier.PLAYS, "bodies", needs=("counts",))
@@ -131,14 +119,14 @@ def large(kit: ExperimentHarness) -> None:
 @RULES.add(Tier.PLAYS, "bodies", needs=("counts",))
 def texts(kit: ExperimentHarness) -> None:
     """Texts are UTF-8: empty, long, outside of ASCII, with NUL."""
-    for text in TEXTS:
+    for text in forms.TEXTS:
         kit.do(Order("RL_AGENT_MESSAGE", text, body=text), Order("RL_INIT", body=text))
 
 
 @RULES.add(Tier.PLAYS, "the-header")
 def rewards(kit: ExperimentHarness) -> None:
     """Rewards and returns may be any number."""
-    for reward in REWARDS:
+    for reward in forms.REWARDS:
         kit.do(
             Order("RL_RETURN", scalars=(reward,)),
             Order("RL_STEP", scalars=(reward, True), body=BOTH),
@@ -294,8 +282,8 @@ def truncate(kit: ExperimentHarness) -> None:
 @RULES.add(Tier.COMPLETE, "beside-the-observation", capability=MASK)
 def mask(kit: ExperimentHarness) -> None:
     """Masks are read, also before an action; an observation for the agent has the mask that it is given."""
-    kit.do(*_seen(*MASKED))
-    for each in MASKED:
+    kit.do(*_seen(*forms.MASKED))
+    for each in forms.MASKED:
         kit.do(
             Order("RL_AGENT_START", b"xyz", each, body=DONE.body),
             Order("RL_AGENT_STEP", b"xyz", each, 0.5, body=DONE.body),
@@ -305,7 +293,7 @@ def mask(kit: ExperimentHarness) -> None:
 @RULES.add(Tier.COMPLETE, "beside-the-observation", capability=EXTRAS)
 def extras(kit: ExperimentHarness) -> None:
     """Extras of every type are read, behind a mask or without one."""
-    kit.do(*_seen(*WITH_EXTRAS))
+    kit.do(*_seen(*forms.WITH_EXTRAS))
 
 
 def _seen(*observations: Observation) -> list[Order]:
@@ -371,7 +359,7 @@ def unknown_kind(kit: ExperimentHarness) -> None:
 @RULES.add(Tier.COMPLETE, "bodies")
 def broken_text(kit: ExperimentHarness) -> None:
     """A text that is not UTF-8 does not crash the experiment."""
-    for text in NOT_UTF_8:
+    for text in forms.NOT_UTF_8:
         kit.asks(Order("RL_AGENT_MESSAGE", b"?"))
         kit.send(Kind.RL_AGENT_MESSAGE, seq=kit.request.seq, body=text)
         kit.took(kit.expect("RL_ENV_STEP with some text", _reports))

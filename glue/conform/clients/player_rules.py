@@ -7,22 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from glue.batches import (
-    Batch,
-    Ragged,
-    batch_task_spec,
-    pack_actions,
-    pack_batch,
-    read_batch_task_spec,
-    unpack_actions,
-    unpack_batch,
-)
+from glue import batches
 from glue.conform import forms
 from glue.conform.clients.connection import Gone
-from glue.conform.clients.harness import MAX_BODY
+from glue.conform.clients.harness import MAX_BODY, SHOWN, SPEC, TASK, PlayerHarness
 from glue.conform.clients.mirror import FAIL, FAILURE
-from glue.conform.clients.player_harness import SHOWN, SPEC, TASK, PlayerHarness
-from glue.conform.forms import ASKING, CHARS, DOUBLES, EMPTY, INTS, MANY, MASKED, NOT_UTF_8, REWARDS, TEXTS
 from glue.conform.messages import described
 from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier
 from glue.errors import GlueError, TaskSpecError
@@ -62,7 +51,7 @@ def before_init(kit: PlayerHarness) -> None:
 @RULES.add(Tier.PLAYS, "bodies", mirror=True)
 def doubles(kit: PlayerHarness) -> None:
     """Doubles keep all their bits: negative zero, NaN, infinities."""
-    kit.steps(Observation([], DOUBLES), *(Observation([], [number]) for number in DOUBLES))
+    kit.steps(Observation([], forms.DOUBLES), *(Observation([], [number]) for number in forms.DOUBLES))
     exchange = kit.step(SHOWN, reward=-0.1)  # The reward goes from the header into the doubles.
     kit.run(exchange)
 
@@ -70,25 +59,25 @@ def doubles(kit: PlayerHarness) -> None:
 @RULES.add(Tier.PLAYS, "bodies", mirror=True)
 def ints(kit: PlayerHarness) -> None:
     """Ints are 32 bits, signed, little-endian."""
-    kit.steps(Observation(INTS))
+    kit.steps(Observation(forms.INTS))
 
 
 @RULES.add(Tier.PLAYS, "bodies", mirror=True)
 def chars(kit: PlayerHarness) -> None:
     """Chars are any bytes."""
-    kit.steps(Observation(chars=CHARS), Observation(chars=b"\0"))
+    kit.steps(Observation(chars=forms.CHARS), Observation(chars=b"\0"))
 
 
 @RULES.add(Tier.PLAYS, "bodies", needs=("doubles",), mirror=True)
 def empty(kit: PlayerHarness) -> None:
     """Any or all of the runs may be empty."""
-    kit.steps(*EMPTY)
+    kit.steps(*forms.EMPTY)
 
 
 @RULES.add(Tier.PLAYS, "bodies", needs=("doubles",), mirror=True)
 def counts(kit: PlayerHarness) -> None:
     """Each of the runs may have more than 65,535 elements."""
-    kit.steps(*MANY)
+    kit.steps(*forms.MANY)
 
 
 @RULES.add(Tier.PLAYS, "bodies", needs=("doubles", "counts"), mirror=True)
@@ -104,17 +93,17 @@ def large(kit: PlayerHarness) -> None:
 @RULES.add(Tier.PLAYS, "bodies", needs=("large",), mirror=True)
 def texts(kit: PlayerHarness) -> None:
     """Texts are UTF-8: empty, long, outside of ASCII, with NUL."""
-    for text in TEXTS:
+    for text in forms.TEXTS:
         kit.ask("MESSAGE", body=text)
     if kit.role is Role.AGENT:
-        for text in TEXTS:
+        for text in forms.TEXTS:
             kit.ask("INIT", body=text)
 
 
 @RULES.add(Tier.PLAYS, "the-header", needs=("doubles",), mirror=True)
 def rewards(kit: PlayerHarness) -> None:
     """A reward may be any number."""
-    for reward in REWARDS:
+    for reward in forms.REWARDS:
         if kit.role is Role.AGENT:
             kit.ask("STEP", reward, body=SHOWN.body)
             kit.ask("END", reward)
@@ -337,14 +326,14 @@ _BESIDE: Final = "beside-the-observation"
 @RULES.add(Tier.COMPLETE, _BESIDE, roles=(Role.AGENT,), capability=MASK, mirror=True)
 def mask(kit: PlayerHarness) -> None:
     """The bits of a mask, of which there may be none, say which values are legal."""
-    kit.steps(*MASKED, SHOWN)
-    kit.ask("START", body=MASKED[0].body)
+    kit.steps(*forms.MASKED, SHOWN)
+    kit.ask("START", body=forms.MASKED[0].body)
 
 
 @RULES.add(Tier.COMPLETE, _BESIDE, roles=(Role.ENVIRONMENT,), capability=MASK, mirror=True)
 def beside(kit: PlayerHarness) -> None:
     """A mask and extras follow the observation, with their sizes in bytes 12 to 15."""
-    kit.steps(*ASKING, SHOWN)
+    kit.steps(*forms.ASKING, SHOWN)
 
 
 @RULES.add(
@@ -360,7 +349,7 @@ def unconfirmed(kit: PlayerHarness) -> None:
     for carries in (None, frozenset[str](), {MASK}, {EXTRAS}):
         kit.connect()
         kit.welcome(carries=carries)
-        for asking in ASKING:
+        for asking in forms.ASKING:
             exchange = kit.step(asking)
             expected = exchange.expected._replace(body=readable(exchange.expected.body, carries or set()))
             kit.run(exchange._replace(expected=expected))
@@ -371,7 +360,7 @@ def unconfirmed(kit: PlayerHarness) -> None:
 def broken_text(kit: PlayerHarness) -> None:
     """A text that is not UTF-8 is answered, if only with ERROR."""
     kinds = Kind.ERROR, kit.kinds["MESSAGE"]
-    for text in NOT_UTF_8:
+    for text in forms.NOT_UTF_8:
         kit.seq += 1
         kit.send(kit.kinds["MESSAGE"], seq=kit.seq, body=text)
         expected = f"{kinds[1].name} {kit.seq}, or ERROR"
@@ -438,15 +427,17 @@ _STEPS: Final = 60
 def acting(kit: PlayerHarness) -> None:
     """An agent is shown a batch, and answers with an action for each of its games."""
     kit.fresh()
-    kit.ask("INIT", body=batch_task_spec(_GAMES, TASK.decode()).encode())
+    kit.ask("INIT", body=batches.batch_task_spec(_GAMES, TASK.decode()).encode())
     for step, terminals in enumerate(([0, 0, 0], [0, 1, 2], [2, 2, 2], [1, 0, 1], [0, 0, 0])):
         values = [Observation([0])] * (_GAMES + terminals.count(CUT_OFF))
         rewards = np.zeros(_GAMES) if step == 0 else np.array([0.5, -0.25, 1.0])
-        body = pack_batch(Batch(rewards, np.array(terminals, np.int32), Ragged.of(values))).body
+        body = batches.pack_batch(
+            batches.Batch(rewards, np.array(terminals, np.int32), batches.Ragged.of(values))
+        ).body
         name, scalars = ("STEP", (float(rewards.sum()),)) if step else ("START", ())
         answer = _answer(kit, name, *scalars, body=body)
         try:
-            unpack_actions(Action.from_body(answer.body), _GAMES)
+            batches.unpack_actions(Action.from_body(answer.body), _GAMES)
         except GlueError as error:
             raise Broken(f"the actions of {_GAMES} games: {error}", described(answer)) from None
     kit.drop()  # The client's numbers are not those of the kit's own model.
@@ -458,7 +449,7 @@ def playing(kit: PlayerHarness) -> None:
     kit.fresh()
     text = _answer(kit, "INIT").body.decode()
     try:
-        games, inner = read_batch_task_spec(text)
+        games, inner = batches.read_batch_task_spec(text)
     except GlueError as error:
         raise Broken(f"the task spec of a batch: {error}", repr(text)) from None
     generator = np.random.default_rng(0)
@@ -469,7 +460,7 @@ def playing(kit: PlayerHarness) -> None:
         raise NotJudged(f"its task spec does not tell the legal actions: {error}") from None
     for _ in range(_STEPS):
         chosen = [Action(*actions.sample(generator)) for _ in range(games)]
-        _checked(_answer(kit, "STEP", body=pack_actions(Ragged.of(chosen)).body), games)
+        _checked(_answer(kit, "STEP", body=batches.pack_actions(batches.Ragged.of(chosen)).body), games)
     kit.drop()
 
 
@@ -484,7 +475,7 @@ def _answer(kit: PlayerHarness, name: str, *scalars: float, body: bytes = b"") -
 def _checked(answer: Message, games: int, start: bool = False) -> None:
     """Check the batch in the answer to ENV_START or ENV_STEP."""
     try:
-        rewards, terminals, _ = unpack_batch(Observation.from_body(answer.body))
+        rewards, terminals, _ = batches.unpack_batch(Observation.from_body(answer.body))
     except GlueError as error:
         raise Broken(f"a batch of {games} games: {error}", described(answer)) from None
     sum_of_rewards = math.fsum(rewards.tolist())

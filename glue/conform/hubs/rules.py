@@ -145,7 +145,7 @@ def outcome(scene: Scene) -> None:
 def pace(scene: Scene) -> None:
     """A late agent is called again only when it has answered: with all rewards since, and what is newest."""
     # Three steps of an agent with the capability `pace`, which answers the first after them.
-    scene.agent = scene.peer(Role.AGENT, "pace")
+    scene.agent, scene.experiment = (scene.peer(role, "pace") for role in (Role.AGENT, Role.EXPERIMENT))
     scene.init()
     scene.start()
     number = scene.first_step()
@@ -163,6 +163,12 @@ def pace(scene: Scene) -> None:
     scene.agent.check(len(told) >= 2, f"{described(late)} received, with a time before now")
     for step in (2, 3):
         action = scene.experiment.expects(Kind.RL_STEP, scene.experiment.seq).body[len(saw(step)) :]
+        scene.experiment.ask(Kind.RL_NUM_STEPS)
+        counts = scene.experiment.expects(Kind.RL_NUM_STEPS, scene.experiment.seq)
+        scene.experiment.check(
+            counts.scalars in ((step,), (step, step - 1)),
+            f"{described(counts)} received; {step - 1} actions were late",
+        )
         scene.experiment.ask(Kind.RL_STEP)
         scene.environment.answers(Kind.ENV_STEP, body=action, reply=(reward(step), False), gives=saw(step))
     scene.agent.expects_nothing()

@@ -14,7 +14,6 @@ import platform
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 
 from glue.client.answers import ServedPlayer
 from glue.client.experiment import connect_over
@@ -256,6 +255,5 @@ def host(
         )
     with Hub(HubConfig(bind=(bind,), pace=pace)) as hub:
         transport = InsideTransport(hub, players, session)
-        late = partial(hub.sessions.num_late, session)
-        with hub.in_background(), connect_over(transport, session, num_late=late) as experiment:
+        with hub.in_background(), connect_over(transport, session) as experiment:
             yield experiment

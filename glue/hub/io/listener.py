@@ -17,9 +17,9 @@ import errno
 import os
 import stat
 import traceback
-from collections.abc import Callable
-from contextlib import suppress
-from typing import Final
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any, Final
 
 from glue.closing import Closing
 from glue.errors import ConfigError
@@ -69,7 +69,7 @@ class OpenAddress(Closing):
                 os.unlink(path)
 
 
-def open_address(url: str, setting: str = "bind") -> OpenAddress:
+def open_address(url: str, setting: str = "bind", *, reserved: bool = False) -> OpenAddress:
     """Listen on an address of `glue.hub.config.check_url`; the port `*` takes any free one.
 
     Names and the host `*` resolve to IPv4 addresses only: peers and original programs look for no others.
@@ -77,16 +77,38 @@ def open_address(url: str, setting: str = "bind") -> OpenAddress:
     Args:
         url: the address.
         setting: name of the setting that holds the address, for the error.
+        reserved: whether it may be one that `reserve` keeps.
 
     Raises:
         ConfigError: the address is in use, or is not one of this machine.
     """
     scheme, _, rest = url.partition("://")
     try:
-        listening = _listen_on_path(rest) if scheme == "ipc" else _listen_on_port(rest)
+        listening = _listen_on_path(rest) if scheme == "ipc" else _listen_on_port(rest, reserved)
     except OSError as error:
         raise ConfigError(_cannot_listen(url, error), settings=(setting,)) from None
     return OpenAddress(url, listening)
+
+
+@contextmanager
+def reserve(url: str) -> Iterator[None]:
+    """Keep a port, within a `with` statement, for processes of this user that open it as reserved.
+
+    Raises:
+        ConfigError: the address is in use, or is not one of this machine.
+    """
+    scheme, _, rest = url.partition("://")
+    with ExitStack() as stack:
+        if scheme == "tcp" and not rest.endswith(":*"):
+            try:
+                family, address = _resolved(rest)
+                kept = stack.enter_context(network.socket(family))
+                # Without SO_REUSEADDR, and not listening: then only sockets of this user can share the port.
+                kept.setsockopt(network.SOL_SOCKET, network.SO_REUSEPORT, 1)
+                kept.bind(address)
+            except OSError as error:
+                raise ConfigError(_cannot_listen(url, error), settings=("bind",)) from None
+        yield
 
 
 class Listener:
@@ -152,7 +174,13 @@ class Listener:
             connected.close()
 
 
-def _listen_on_port(address: str) -> network.socket:
+def _listen_on_port(address: str, reserved: bool) -> network.socket:
+    family, resolved = _resolved(address)
+    return network.create_server(resolved, family=family, backlog=_BACKLOG, reuse_port=reserved)
+
+
+def _resolved(address: str) -> tuple[int, tuple[Any, ...]]:
+    """Return the family and the address of `HOST:PORT`."""
     host, _, port = address.rpartition(":")
     host = host.strip("[]")
     family = network.AF_INET6 if ":" in host else network.AF_INET
@@ -163,7 +191,7 @@ def _listen_on_port(address: str) -> network.socket:
         network.SOCK_STREAM,
         flags=network.AI_PASSIVE,
     )[0]
-    return network.create_server(resolved[:2], family=family, backlog=_BACKLOG)
+    return family, resolved[:2]
 
 
 def _listen_on_path(path: str) -> network.socket:

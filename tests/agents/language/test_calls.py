@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from agents.language import server
-from agents.language.agent import LanguageAgent
-from agents.language.game import GameOptions, GameOver, Phase
+from agents.language.game import GameOptions, GameOver, LanguageAgent, Phase
 from agents.language.server import play
 from env_server.toys import SkeletonEnvironment
 from glue.engine.local import local

@@ -17,8 +17,7 @@ from typing import Any
 import pytest
 
 from agents.language import chat
-from agents.language.chat import read_choice, read_reply
-from agents.language.endpoint import Endpoint, EndpointFailed
+from agents.language.chat import Endpoint, EndpointFailed, read_choice, read_reply
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from glue.engine.local import local
 from glue.errors import ConfigError, GlueError

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.mario.archive import Archive, Trajectory
+from agents.mario.best import Archive, Trajectory
 from glue.errors import SaveError
 from glue.saves import Saved
 

@@ -6,10 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from agents.mario.monsters import THREATS_2010, THREATS_2012
-from agents.mario.objects import tile_above
-from agents.mario.observation import COIN, FIREBALL, GOOMBA, MUSHROOM, OUTSIDE, PLANT, RED_KOOPA, SOLID, tile
-from agents.mario.scene import (
+from agents.mario.objects import (
     A_COIN,
     A_MONSTER,
     A_PIT,
@@ -17,10 +14,14 @@ from agents.mario.scene import (
     AWAY,
     NO_MOTION,
     STATIONARY,
+    THREATS_2010,
+    THREATS_2012,
     TOWARDS,
     VERTICAL,
     Object,
+    tile_above,
 )
+from agents.mario.observation import COIN, FIREBALL, GOOMBA, MUSHROOM, OUTSIDE, PLANT, RED_KOOPA, SOLID, tile
 from glue.types import Observation
 
 if TYPE_CHECKING:

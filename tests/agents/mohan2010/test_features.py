@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import pytest
 
+from agents.mario.objects import Scene
 from agents.mario.observation import GOOMBA, MUSHROOM
-from agents.mario.scene import Scene
 from agents.mohan2010.features import WINDOW, all_objects, window_parts, window_whole
 from glue.types import Observation
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from agents.mario.agent import ACTIONS, LEFT, RIGHT, STAY, action_number
+from agents.mario.objects import A_COIN, A_MONSTER, A_QUESTION, STATIONARY
 from agents.mario.observation import GOOMBA
-from agents.mario.scene import A_COIN, A_MONSTER, A_QUESTION, STATIONARY
 from agents.mohan2010.flo import CONTEXT, FLO_LEVEL, KLO_LEVEL
 from agents.mohan2010.hierarchical import (
     HierarchicalAgent,

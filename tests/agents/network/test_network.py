@@ -10,8 +10,16 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from agents.network.agent import NetworkAgent, load, preferences, save
-from agents.network.features import FEATURES, RECENT, features, tiles_and_sprites
+from agents.network.agent import (
+    FEATURES,
+    RECENT,
+    NetworkAgent,
+    features,
+    load,
+    preferences,
+    save,
+    tiles_and_sprites,
+)
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LEVEL_SETS
 from env_server.mario.many.games import SAME_STEP, Games
@@ -87,9 +95,7 @@ def test_the_policy_that_comes_with_the_package_reaches_goals_that_it_has_not_se
     for number in levels.numbers[:30]:
         level = levels.level(task, number)
         mario = InfiniteMario(
-            level_seed=level.level_seed,
-            level_type=level.level_type,
-            level_difficulty=level.level_difficulty,
+            level_seed=level.level_seed, level_type=level.level_type, level_difficulty=level.level_difficulty
         )
         with local(agent, mario) as glue:
             glue.rl_init(1)

@@ -16,8 +16,8 @@ from agents.soar.agents import (
     SoarHierarchicalInternalAgent,
     SoarHierarchicalProgrammedAgent,
     SoarObjectsCoarseAgent,
+    parse_rules,
 )
-from agents.soar.player import parse_rules
 from env_server.mario.environment import InfiniteMario
 from studies.soar_values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
 from tests.agents.soar.memory import Memory, working_memory

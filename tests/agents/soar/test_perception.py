@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from agents.mario.agent import ACTIONS
-from agents.mario.monsters import THREATS_2010, THREATS_2012
-from agents.mario.scene import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Object
+from agents.mario.objects import A_COIN, A_MONSTER, A_PIT, A_QUESTION, THREATS_2010, THREATS_2012, Object
 from agents.soar.agents import SoarHierarchicalAgent, SoarHierarchicalFactsAgent, SoarObjectsCoarseAgent
 from agents.soar.mario_link import SPRITES
 from env_server.mario.environment import InfiniteMario

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from agents.soar.agents import SoarAgent, SoarHierarchicalAgent, SoarMinesAgent
+from agents.soar.agents import SoarAgent, SoarHierarchicalAgent, SoarMinesAgent, SoarPlayer, parse_rules
 from agents.soar.kernel import SoarError
-from agents.soar.player import SoarPlayer, parse_rules
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from glue.engine.local import local
 from glue.errors import ConfigError, GlueError, SaveError

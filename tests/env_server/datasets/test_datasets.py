@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from glue.gym.codec import Codec
+from glue.gym.spaces import Codec
 from glue.trajectory import ActionWriter, Ending, Episode, Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
 from tests import forked

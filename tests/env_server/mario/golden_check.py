@@ -17,10 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from env_server.mario.game import Game
+from env_server.mario.game import Game, ordinary_reward, terminal_reward
 from env_server.mario.observation import BODY_SIZE, encode
 from env_server.mario.parameters import Parameters, resolve
-from env_server.mario.reward import ordinary_reward, terminal_reward
 from env_server.mario.sim.state import FIREBALL, FLOWER, MUSHROOM, PLANT, SHELL, Actor, World
 from env_server.mario.sim.step import draw, is_over, press_buttons, reset, tick
 from glue.types import Observation

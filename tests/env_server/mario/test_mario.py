@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from env_server.mario.environment import InfiniteMario
-from env_server.mario.saving import State, pack_state
+from env_server.mario.environment import InfiniteMario, State, pack_state
 from glue.errors import SaveError, SimulatorError
 from glue.options import build
 from glue.roles import capabilities
@@ -209,14 +208,7 @@ def test_level_changed_by_message_counts_from_the_next_episode() -> None:
 
 
 @pytest.mark.parametrize(
-    "message",
-    [
-        "",
-        "parameters please",
-        "level level_seed=five",
-        "level level_type=3",
-        "level speed_walk=1",
-    ],
+    "message", ["", "parameters please", "level level_seed=five", "level level_type=3", "level speed_walk=1"]
 )
 def test_other_messages_are_refused_and_change_nothing(message: str) -> None:
     environment = begun()

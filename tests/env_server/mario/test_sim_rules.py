@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from env_server.mario.game import Game
+from env_server.mario.game import Game, terminal_reward
 from env_server.mario.parameters import resolve
-from env_server.mario.reward import terminal_reward
 from env_server.mario.sim.blocks import hit_block
 from env_server.mario.sim.state import (
     ACTORS,
@@ -75,11 +74,7 @@ def give_size(world: World, large: bool, fire: bool) -> None:
 
 @pytest.mark.parametrize(
     ("block", "can_break", "left", "coins"),
-    [
-        (QUESTION_WITH_COIN, False, USED_BLOCK, 2),
-        (BRICK, False, BRICK, 1),
-        (BRICK, True, EMPTY, 1),
-    ],
+    [(QUESTION_WITH_COIN, False, USED_BLOCK, 2), (BRICK, False, BRICK, 1), (BRICK, True, EMPTY, 1)],
 )
 def test_loose_coin_on_a_block_that_is_hit_is_taken(
     world: World, level: LevelMap, block: int, can_break: bool, left: int, coins: int

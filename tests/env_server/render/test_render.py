@@ -27,6 +27,7 @@ from env_server.render.text import draw_text
 from glue.cli.screen import TerminalScreen, has_color
 from glue.errors import ConfigError, SimulatorError
 from glue.types import Observation
+from tests.clock import Clock
 from tests.proof import size
 
 SCREEN = """
@@ -153,15 +154,6 @@ def test_text_lets_no_control_character_through() -> None:
     assert all(line.isprintable() for line in draw_text(observation))
 
 
-class Clock:
-    """A clock that stands still until it is set."""
-
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
 def terminal() -> Iterator[tuple[TextIO, int]]:
     """A terminal of 60 columns and 20 lines: the stream to draw to, and the descriptor to read from."""
@@ -198,10 +190,7 @@ def seen(terminal: tuple[TextIO, int]) -> str:
     ],
 )
 def test_color_where_the_terminal_has_it_and_nobody_objects(
-    terminal: tuple[TextIO, int],
-    monkeypatch: pytest.MonkeyPatch,
-    variables: dict[str, str],
-    expected: bool,
+    terminal: tuple[TextIO, int], monkeypatch: pytest.MonkeyPatch, variables: dict[str, str], expected: bool
 ) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
     for name, value in variables.items():

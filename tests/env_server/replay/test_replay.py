@@ -19,15 +19,18 @@ from PIL import Image
 from env_server.mario.environment import InfiniteMario
 from env_server.replay.episodes import (
     Difference,
+    Digest,
+    GoldenEpisode,
+    GoldenReader,
     Moment,
     NotInstalled,
     RecordedRun,
     build_environment,
+    digest,
     open_recording,
     recorded_moments,
     replayed_moments,
 )
-from env_server.replay.golden import Digest, GoldenEpisode, GoldenReader, digest
 from env_server.toys import MinesEnvironment
 from glue.errors import ConfigError
 from glue.extras import Extra
@@ -390,10 +393,7 @@ def test_level_that_differs_is_told_by_what_differs(
         ([GOOD_RUN, START, LEVEL], "line 3: a line 'level' cannot stand here"),
         ([LEVEL | {"width": "370"}], "line 1: field 'width' must be int"),
         ([LEVEL | {"rows": [0]}], "line 1: field 'rows' must be a list of str"),
-        (
-            [LEVEL | {"sprites": [[1, 2, 3]]}],
-            "line 1: field 'sprites' must be a list of .column, row",
-        ),
+        ([LEVEL | {"sprites": [[1, 2, 3]]}], "line 1: field 'sprites' must be a list of .column, row"),
         ([LEVEL | {"sprites": [[1, 2, "a", 0]]}], "line 1: field 'sprites' must be a list of"),
         ([LEVEL | {"level_seed": None}], "line 1: field 'level_seed' must be int"),
     ],

@@ -6,9 +6,9 @@ import itertools
 
 import numpy as np
 import pytest
-from scipy import stats  # type: ignore[import-untyped]  # it has no types
+import scipy  # type: ignore[import-untyped]  # it has no types
 
-from experiment_runner.analysis.compare import (
+from experiment_runner.analysis.stats import (
     compare,
     profile,
     sensitivity,
@@ -23,10 +23,12 @@ def test_the_difference_and_the_probability_are_those_of_their_definitions() -> 
     a, b = RNG.normal(1.0, size=9), RNG.normal(size=9)
     b[2] = a[4]  # a tie
     found = compare(a, b, np.random.default_rng(0))
-    assert found.difference.value == pytest.approx(stats.trim_mean(a, 0.25) - stats.trim_mean(b, 0.25))
+    assert found.difference.value == pytest.approx(
+        scipy.stats.trim_mean(a, 0.25) - scipy.stats.trim_mean(b, 0.25)
+    )
     wins = [(x > y) + (x == y) / 2 for x, y in itertools.product(a, b)]
     assert found.improvement.value == pytest.approx(np.mean(wins))
-    assert stats.mannwhitneyu(a, b).statistic / 81 == pytest.approx(found.improvement.value)
+    assert scipy.stats.mannwhitneyu(a, b).statistic / 81 == pytest.approx(found.improvement.value)
     assert found.improvement.low <= found.improvement.value <= found.improvement.high
     backwards = compare(b, a, np.random.default_rng(0))
     assert backwards.difference.low == pytest.approx(-found.difference.high)
@@ -52,9 +54,9 @@ def test_a_tolerance_interval_has_the_confidence_of_the_beta_distribution(count:
     ordered = np.arange(float(count))
     low, high = tolerance_interval(RNG.permutation(ordered), share)
     spacings = high - low
-    assert stats.beta.sf(share, spacings, count - spacings + 1) >= 0.95
+    assert scipy.stats.beta.sf(share, spacings, count - spacings + 1) >= 0.95
     inner = spacings - 2
-    assert stats.beta.sf(share, inner, count - inner + 1) < 0.95
+    assert scipy.stats.beta.sf(share, inner, count - inner + 1) < 0.95
 
 
 def test_too_few_trials_have_no_tolerance_interval() -> None:

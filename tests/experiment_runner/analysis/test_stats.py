@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+import scipy  # type: ignore[import-untyped]  # it has no types
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats  # type: ignore[import-untyped]  # it has no types
 
 from experiment_runner.analysis.stats import (
     convergence_episode,
@@ -97,7 +97,7 @@ def test_interquartile_mean_is_that_of_scipy(count: int, odd: float) -> None:
     values[0, 2] = odd
     for axis in (0, 1):
         with np.errstate(invalid="ignore"):
-            expected = stats.trim_mean(values, 0.25, axis=axis)
+            expected = scipy.stats.trim_mean(values, 0.25, axis=axis)
             found = interquartile_mean(values, axis=axis)
         np.testing.assert_allclose(found, expected, rtol=1e-15)
 
@@ -109,7 +109,7 @@ def test_interval_is_that_of_scipy(tail: tuple[int, ...]) -> None:
     def pooled(*samples: FloatArray, axis: int) -> Any:
         return interquartile_mean(np.concatenate(samples, axis=axis), axis=axis)
 
-    expected = stats.bootstrap(
+    expected = scipy.stats.bootstrap(
         strata, pooled, n_resamples=2000, vectorized=True, method="percentile", rng=rng(6)
     ).confidence_interval
     _, low, high = estimate(strata, interquartile_mean, rng(6))

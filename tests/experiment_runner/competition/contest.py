@@ -50,13 +50,9 @@ seed_env = "SECRET"
 [limits]
 start_seconds = 300
 log = "2k"
-[tasks.mines]
-env = "mines"
-options = { random_start = true }
-steps = 200
-[tasks.walk]
-env = "skeleton"
-episodes = 4
+[tasks]
+mines = { env = "mines", options.random_start = true, steps = 200 }
+walk = { env = "skeleton", episodes = 4 }
 """ + "".join(ENTRANT.format(name=name, kind=name) for name in ("walk", "crash", "raise"))
 
 

@@ -25,7 +25,7 @@ from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.seal import check_signature, sign
 from experiment_runner.competition.records.verify import verify
-from experiment_runner.store.lock import LOCK_FILE, RunLock
+from experiment_runner.store.layout import LOCK_FILE, RunLock
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from experiment_runner.view.export import as_page
@@ -38,6 +38,7 @@ from tests.experiment_runner.competition.contest import ENTRANT, FILE, compete, 
 from tests.experiment_runner.view.pages import Inside
 from tests.forked import BIN
 from tests.proof import size
+from tests.system.runs import wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -378,7 +379,7 @@ def test_only_what_was_verified_is_on_the_board(run: Path) -> None:
 
 
 def test_check_plays_every_task_and_reports_to_every_owner(tmp_path: Path) -> None:
-    short = FILE.replace("steps = 200", "steps = 200\nmax_steps = 40").replace('"raise"', '"walk"', 1)
+    short = FILE.replace("steps = 200", "steps = 200, max_steps = 40").replace('"raise"', '"walk"', 1)
     write(tmp_path, short.partition("[entrants.raise]")[0])
     done = compete(tmp_path, "check", "spring.toml")
     assert done.returncode == 1, done.stderr
@@ -446,6 +447,25 @@ def test_acts_of_the_organiser_are_sealed_and_shown_and_delete_nothing(run: Path
         shown = compete(folder, "board", "run", "--format", form).stdout
         assert "a mail of 3 May" in shown
         assert ("&lt;i&gt;mail" if form == "html" else "<i>mail") in shown
+
+
+@pytest.mark.stage("kills")
+def test_an_organiser_acts_on_a_run_while_it_is_played(tmp_path: Path) -> None:
+    """Its entrants wait for the file `go`; nobody waits for those who are excluded."""
+    write(tmp_path, go=False)
+    command = [str(BIN / "glue-compete"), "run", "spring.toml", "--out", "run", "--workers", "3"]
+    with subprocess.Popen(command, cwd=tmp_path, env={**os.environ, "SECRET": "xyzzy"}) as organiser:
+        wait_until((tmp_path / "run/control").exists, "the run")
+        for act in (("exclude", "run", "raise"), ("pause", "run"), ("announce", "run", "late")):
+            more = () if act[0] == "announce" else ("--why", "a mail")
+            assert compete(tmp_path, *act, *more).returncode == 0
+        (tmp_path / "go").touch()
+        assert compete(tmp_path, "resume", "run", "--why", "a mail").returncode == 0
+        assert organiser.wait(200) == 0
+    assert not (tmp_path / "run/control").exists()
+    verified = compete(tmp_path, "verify", "run")
+    assert "4 of 4 trials are verified" in verified.stderr
+    assert {name for name, one in entrants(tmp_path / "run").items() if one.place} == {"walk", "crash"}
 
 
 @pytest.mark.parametrize(

@@ -25,12 +25,8 @@ from tests import forked
 _FILE = """\
 name = "spring"
 seed_file = "secret.txt"
-[tasks.mines]
-env = "mines"
-options = { random_start = true }
-steps = 20
-[entrants.carol]
-key = "carol.key"
+tasks.mines = { env = "mines", options.random_start = true, steps = 20 }
+entrants.carol = { key = "carol.key" }
 """
 
 _PROGRAM = """\

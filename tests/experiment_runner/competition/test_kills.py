@@ -31,17 +31,10 @@ FILE = f"""\
 name = "spring"
 trials = {TRIALS}
 seed_file = "secret.txt"
-[tasks.mines]
-env = "mines"
-options = {{ random_start = true }}
-steps = {STEPS}
-[tasks.walk]
-env = "skeleton"
-episodes = {EPISODES}
-[entrants.sarsa]
-command = ["AGENT", "sarsa"]
-[entrants.random]
-command = ["AGENT", "random"]
+tasks.mines = {{ env = "mines", options.random_start = true, steps = {STEPS} }}
+tasks.walk = {{ env = "skeleton", episodes = {EPISODES} }}
+entrants.sarsa = {{ command = ["AGENT", "sarsa"] }}
+entrants.random = {{ command = ["AGENT", "random"] }}
 """
 
 

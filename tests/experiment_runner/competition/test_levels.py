@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from env_server.mario.pictures import digest_of
 from experiment_runner.competition.organiser import open_competition
-from experiment_runner.competition.records.replay import made_for
+from experiment_runner.competition.records.replay import made_for, recorded_run
+from experiment_runner.competition.records.verify import replay_trial
 from experiment_runner.competition.settings import parse_competition
 from experiment_runner.competition.trials import public_trial, trials
+from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
 from glue.errors import ConfigError, ExperimentError
+from glue.trajectory import ActionWriter, Ending, Run
+from glue.types import Action, step_of
 
 SECRET = b"hush"
+STAY = Action([0, 0, 0])
 FILE = """\
 trials = 3
 seed_env = "SECRET"
@@ -61,6 +67,27 @@ def test_a_level_that_was_changed_is_not_played(folder: Path) -> None:
         open_competition(folder / "run", FILE, held, SECRET)
     with pytest.raises(ConfigError, match=r"two\.txt has changed"):
         made_for(specs[1])  # as verification does
+
+
+@pytest.mark.parametrize("run", [recorded_run, run_of], ids=["now", "version 0.3.0"])
+def test_a_record_names_its_level_not_where_it_is(folder: Path, run: Callable[..., Run]) -> None:
+    spec = trials_of(folder)[0]
+    path = folder / "record.traj"
+    environment = made_for(spec)
+    begun = run(spec, environment.env_init())
+    with path.open("wb") as file:
+        writer = ActionWriter(file.write)
+        writer.run(begun)
+        environment.env_start()
+        writer.start()
+        for _ in range(5):
+            step = step_of(environment, environment.env_step(STAY))
+            writer.step(STAY.body, step.reward)
+        writer.end(Ending.CUTOFF)
+        writer.close()
+    assert begun.options["level"] == ("one.txt" if run is recorded_run else str(folder / "one.txt"))
+    ((ending, steps, *_),), *_ = replay_trial(spec, path)
+    assert (ending, steps) == (Ending.CUTOFF, 5)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from glue.errors import GlueError
 from glue.trajectory import Ending, Episode, TrajectoryReader
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
+from tests.clock import Clock
 from tests.experiment_runner.competition.players import (
     SECRET,
     Dawdler,
@@ -66,9 +67,10 @@ def test_what_a_late_agent_did_not_choose_is_recorded_as_it_was_carried_out(tmp_
     assert sum(result.late for result in results) >= 3
     (spec,) = trials(competition("alice", steps=60, env=watched, rate=200.0), SECRET)
     replayed, score = replay_trial(spec, tmp_path / "record.traj")
-    assert [(steps, total) for _, steps, total in replayed] == [
-        (len(episode.steps), episode.episode_return) for episode in recorded
+    assert [(steps, total, late) for _, steps, total, late in replayed] == [
+        (len(episode.steps), episode.episode_return, len(episode.late)) for episode in recorded
     ]
+    assert [len(episode.late) for episode in recorded][: len(results)] == [result.late for result in results]
     assert score == sum(result.episode_return for result in results)
 
 
@@ -89,14 +91,6 @@ def test_every_entrant_meets_the_same_level_and_another_in_each_trial() -> None:
     assert levels["alice/walk/0"] == levels["bob/walk/0"]
     assert levels["alice/walk/0"] != levels["alice/walk/1"]
     assert trials(competition("alice", "bob", trials=2, env="mario"), SECRET + b"!") != specs
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Thinker(Walker):
@@ -233,7 +227,7 @@ def test_what_an_agent_does_wrong_is_the_reason_in_one_line(agent: Walker, why: 
 def test_one_who_never_connects_forfeits(tmp_path: Path) -> None:
     ticks = itertools.count()
     reports = reports_of(None, tmp_path, lambda: float(next(ticks)), limits=Limits(start_seconds=5.0))
-    assert "did not connect within 5 s" in forfeit(reports)
+    assert forfeit(reports) == "it did not connect within 5 s"
     assert episodes(reports, tmp_path) == []
 
 

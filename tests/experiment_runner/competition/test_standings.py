@@ -21,15 +21,10 @@ from glue.errors import ExperimentError
 
 FILE = """
 seed_env = "S"
-[tasks.walk]
-env = "skeleton"
-episodes = 2
-[entrants.late]
-command = ["true"]
-[entrants.unverified]
-command = ["true"]
-[entrants.forger]
-command = ["true"]
+tasks.walk = { env = "skeleton", episodes = 2 }
+entrants.late = { command = ["true"] }
+entrants.unverified = { command = ["true"] }
+entrants.forger = { command = ["true"] }
 """
 
 
@@ -57,14 +52,9 @@ def test_who_has_no_place_is_last_with_the_reason(tmp_path: Path) -> None:
 
 TIMED = """
 seed_env = "S"
-[tasks.walk]
-env = "skeleton"
-episodes = 2
-rate = 24
-[entrants.quick]
-command = ["true"]
-[entrants.slow]
-command = ["true"]
+tasks.walk = { env = "skeleton", episodes = 2, rate = 24 }
+entrants.quick = { command = ["true"] }
+entrants.slow = { command = ["true"] }
 """
 
 

@@ -13,21 +13,18 @@ from click.testing import CliRunner
 
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.cli.plot import plot
-from experiment_runner.executors.extras import Extras
-from experiment_runner.executors.recording import Meter
-from experiment_runner.plan.extras import SUMMARIES, Summary
+from experiment_runner.executors.recording import Extras, Meter
 from experiment_runner.plan.file import dump_plan, parse_plan
-from experiment_runner.plan.ids import REMOTE, TrialId
-from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.limits import REMOTE, TrialId
+from experiment_runner.plan.metrics import SUMMARIES, MetricsPlan, Summary
 from experiment_runner.plan.plan import RoleSpec, TrialSpec, differences
 from experiment_runner.plan.toml import SettingError
-from experiment_runner.store.export import episode_table
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult
 from experiment_runner.store.results import Results
-from experiment_runner.store.run_data import load_run
+from experiment_runner.store.run_data import episode_table, load_run
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
-from glue.errors import ConfigError
+from glue.errors import ConfigError, ExperimentError
 from glue.roles import Agent, Environment
 from glue.trajectory import TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation, Step
@@ -75,7 +72,7 @@ class Still(Agent):
 
 Glue = Callable[[Any, Environment], AbstractContextManager[Experiment]]
 SPEC = TrialSpec(TrialId("t"), None, RoleSpec("climbing"), 2, 0, 1)
-PLAN: dict[str, Summary] = {"climbing.height": "max", "steps": "last", "end": "last", "other.height": "min"}
+PLAN: dict[str, Summary] = {"climbing.height": "max", "steps": "last", "other.height": "min"}
 
 
 @pytest.mark.parametrize("glue", [local, over_the_hub])
@@ -92,7 +89,7 @@ def test_each_episode_has_a_number_of_each_extra(glue: Glue, records: bool, tmp_
         (5, {"climbing.height": 4.0, "climbing.steps": 2.0}),
     ]
     assert [reading.step for reading in kept.readings if TOTAL_REWARD in reading.values] == [2, 4]
-    assert kept.events.count("unmetered") == 2  # the agent has no metrics, and the end is no number
+    assert kept.events.count("unmetered") == 1  # the agent has no metrics
     if records:
         first, _ = TrajectoryReader(path)
         seen = first.steps[0].observation
@@ -113,12 +110,27 @@ def test_an_episode_is_summed_up_in_six_ways() -> None:
 
 
 def test_what_is_not_recorded_is_explained() -> None:
-    extras = Extras({"end": "last", "hight": "max", "climb": "sum"}, "climbing")
-    extras.see(Observation(extras={"height": 1.0, "end": "tired", "climb": [1, 2]}))
-    ends, hight, climb = extras.missing()
-    assert "end is not recorded: it is 'tired', not a number" in ends
+    extras = Extras({"hight": "max"}, "climbing")
+    extras.see(Observation(extras={"height": 1.0}))
+    (hight,) = extras.missing()
     assert "sent no extra hight" in hight
-    assert "(1, 2)" in climb
+
+
+@pytest.mark.parametrize("value", ["tired", b"tired", [1, 2]])
+def test_what_is_no_number_cannot_be_a_metric(value: Any) -> None:
+    extras = Extras({"end": "last"}, "climbing")
+    with pytest.raises(ExperimentError, match=r"end of climbing .* not a number; .* extras: height, steps$"):
+        extras.see(Observation(extras={"height": 1.0, "end": value, "steps": 3}))
+    extras.see(Observation(extras={"end": 1}))
+    extras.see(Observation(extras={"end": value}))  # not for ever
+    assert extras.numbers() == {"climbing.end": 1.0}
+
+
+def test_a_run_with_a_text_as_a_metric_ends_with_the_reason(tmp_path: Path) -> None:
+    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:Still", "--metric=end=last")
+    command = [*names, "--episodes=4", "--in-process", f"--out={tmp_path / 'run'}"]
+    result = CliRunner().invoke(experiment, command, standalone_mode=False)
+    assert "the extra end of Climbing cannot be a metric: it is 'tired', not a number" in result.output
 
 
 def test_the_label_of_an_environment_that_joins_from_outside_may_be_any() -> None:
@@ -153,7 +165,7 @@ def test_an_attempt_that_became_void_leaves_nothing() -> None:
 def run(tmp_path: Path) -> Path:
     """A run of both episodes, twice, by the command."""
     names = (f"--env={__file__}:Climbing", f"--agent={__file__}:Still")
-    metrics = ("Climbing.height=max", "steps=sum", "end=last")
+    metrics = ("Climbing.height=max", "steps=sum")
     options = ("--episodes=4", "--in-process", f"--out={tmp_path / 'run'}")
     command = [*names, *(f"--metric={metric}" for metric in metrics), *options]
     result = CliRunner().invoke(experiment, command, standalone_mode=False)
@@ -172,9 +184,7 @@ def test_a_run_has_a_column_for_each_extra(run: Path) -> None:
         assert types["height"] is float
         height = [*types].index("height")
         assert [row[height] for rows in trials for row in rows] == [5.0, 4.0, 5.0, 4.0]
-        assert [event.text for event in results.events() if event.kind == "unmetered"] == [
-            "the extra end is not recorded: it is 'tired', not a number"
-        ]
+        assert [event.text for event in results.events() if event.kind == "unmetered"] == []
 
 
 def test_an_extra_is_plotted_by_the_name_of_its_column(run: Path, tmp_path: Path) -> None:

@@ -11,15 +11,18 @@ import pytest
 from agents.baselines import RandomAgent
 from env_server.toys import MinesEnvironment
 from experiment_runner.executors.job import (
+    BOTH,
     REPORTS,
     Ended,
     Happened,
     Job,
     Line,
     Lost,
+    Placement,
     Playing,
     Recorded,
     Report,
+    RunConfig,
     Start,
     Voided,
     decode,
@@ -28,9 +31,8 @@ from experiment_runner.executors.job import (
     unpack,
     unpacker,
 )
-from experiment_runner.executors.settings import BOTH, Placement, RunConfig
 from experiment_runner.executors.trial import run_job, watched
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from glue.engine.local import local

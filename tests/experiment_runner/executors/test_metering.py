@@ -8,7 +8,7 @@ import pytest
 
 from experiment_runner.executors.job import Start
 from experiment_runner.executors.recording import Meter
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult, Reading

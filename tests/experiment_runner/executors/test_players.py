@@ -12,12 +12,11 @@ import pytest
 
 from agents.baselines import SkeletonAgent
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
-from experiment_runner.executors.job import Line, Report
+from experiment_runner.executors.job import BOTH, HubOptions, Line, Placement, Report
 from experiment_runner.executors.over_hub import hints
 from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.rewards import FiniteRewards
-from experiment_runner.executors.settings import BOTH, HubOptions, Placement
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from glue.client.players import serve_agent, serve_environment
 from glue.errors import GlueError, PeerFailed, PeerLost, Refused

@@ -11,22 +11,29 @@ from typing import Any, Final
 import pytest
 from click.testing import CliRunner, Result
 
+from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
-from env_server.replay.episodes import build_environment, open_recording, replayed_moments
-from env_server.toys import MinesEnvironment
+from env_server.replay.episodes import (
+    build_environment,
+    open_recording,
+    recorded_moments,
+    replayed_moments,
+)
+from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.cli.experiment import experiment
-from experiment_runner.executors.job import BEGINNING, Ended, Job, Report, Start
-from experiment_runner.executors.recording import recorded
-from experiment_runner.executors.settings import BOTH, Placement, RunConfig
+from experiment_runner.executors.job import BEGINNING, BOTH, Ended, Job, Placement, Report, RunConfig, Start
+from experiment_runner.executors.recording import Recorder, recorded
 from experiment_runner.executors.trial import run_job
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
 from glue.client.players import serve_environment
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError
-from glue.trajectory import Ending, Episode, TrajectoryError, TrajectoryReader
+from glue.pace import Pace
+from glue.trajectory import Ending, Episode, TrajectoryError, TrajectoryReader, TrajectoryWriter
+from glue.types import Action, Observation
 from glue.wire.messages import Kind
 from tests.experiment_runner.executors.test_trial import Forgetful, Kept, Lossy, mines, play
 from tests.system.runs import contents, start, wait_until
@@ -255,3 +262,34 @@ def test_full_disk_fails_the_trial_in_one_line_and_leaves_what_was_stored(
     assert "Traceback" not in capfd.readouterr().err
     found = counting(Path("run.traj"))
     assert 0 < len(found) <= len(reports)
+
+
+class Thinker(RandomAgent):
+    """An agent whose time goes by as it says."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now = 0.0
+        self.seconds = [0.0, 2.5, 0.5, 1.5]  # of its first answers
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        self.now += self.seconds.pop(0) if self.seconds else 0.0
+        return super().agent_step(reward, observation)
+
+
+def test_recording_says_which_steps_were_late_and_replays(tmp_path: Path) -> None:
+    agent = Thinker()
+    glue = local(agent, SkeletonEnvironment(), pace=Pace(rate=1.0), clock=lambda: agent.now)
+    with TrajectoryWriter(tmp_path / "late.traj") as writer:
+        spec = TrialSpec(
+            TrialId("random/skeleton/0"), RoleSpec("random"), RoleSpec("skeleton"), 1, 10, seed=3
+        )
+        recorder = Recorder(writer, spec, glue)
+        recorder.begin(glue.rl_init(spec.seed), continued=False)
+        recorder.rl_episode(max_steps=10)
+
+    (episode,) = counting(tmp_path / "late.traj")
+    # The answer to step 2 comes when step 4 has been made, that to step 5 after step 6.
+    assert list(episode.late) == [3, 4, 6]
+    shown = [moment.place for moment in recorded_moments(open_recording(tmp_path / "late.traj"))]
+    assert shown[2:5] == ["episode 1, step 2", "episode 1, step 3, late", "episode 1, step 4, late"]

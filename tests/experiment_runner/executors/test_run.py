@@ -13,17 +13,27 @@ from experiment_runner.analysis.settings import collect
 from experiment_runner.cli.run_plan import resume_command
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
-from experiment_runner.executors.job import Job, Joined, Line, Lost, Recorded, Report
+from experiment_runner.executors.job import (
+    BOTH,
+    HubOptions,
+    Job,
+    Joined,
+    Line,
+    Lost,
+    Placement,
+    Recorded,
+    Report,
+    RunConfig,
+)
 from experiment_runner.executors.opening import open_run, remaining
 from experiment_runner.executors.run import RunCollector, run_trials
-from experiment_runner.executors.settings import BOTH, HubOptions, Placement, RunConfig
 from experiment_runner.executors.trial import run_job
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.report.progress import Progress
-from experiment_runner.store.export import metric_table
 from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import metric_table
 from experiment_runner.store.store import Store
 from glue.hub.config import LegacyPort
 from tests.system.runs import contents
@@ -130,8 +140,7 @@ def losses() -> dict[str, list[int]]:
 
 
 @pytest.mark.parametrize(
-    ("plan", "size", "whole"),
-    [(PLAN, 1, "undisturbed"), (PLAN, 5, "undisturbed"), (STEPS, 2, "budgeted")],
+    ("plan", "size", "whole"), [(PLAN, 1, "undisturbed"), (PLAN, 5, "undisturbed"), (STEPS, 2, "budgeted")]
 )
 def test_lost_trials_end_as_undisturbed_ones(
     plan: Plan, size: int, whole: str, request: pytest.FixtureRequest, tmp_path: Path

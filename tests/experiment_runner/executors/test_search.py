@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.stats import interquartile_mean
+from experiment_runner.executors.job import BOTH, Placement, RunConfig
 from experiment_runner.executors.search import RESULT, SEARCH, Configuration, Score, sampler_of, tune
-from experiment_runner.executors.settings import BOTH, Placement, RunConfig
 from experiment_runner.plan.file import dump_plan, parse_plan
 from experiment_runner.plan.plan import Plan
 from experiment_runner.plan.tuning import Range, Space, TunePlan

@@ -20,14 +20,15 @@ from experiment_runner.executors.job import (
     Happened,
     Job,
     Line,
+    Placement,
     Recorded,
     Report,
+    RunConfig,
     Start,
     Voided,
 )
-from experiment_runner.executors.settings import Placement, RunConfig
 from experiment_runner.executors.trial import run_trial
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Reading

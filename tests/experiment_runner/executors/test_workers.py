@@ -1,9 +1,8 @@
 from __future__ import annotations
 
-from experiment_runner.executors.job import Job, Lost, Recorded, Report
-from experiment_runner.executors.settings import BOTH, Placement, RunConfig
+from experiment_runner.executors.job import BOTH, Job, Lost, Placement, Recorded, Report, RunConfig
 from experiment_runner.executors.workers import LocalExecutor
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 
 

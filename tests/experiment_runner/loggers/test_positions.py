@@ -10,8 +10,7 @@ import pytest
 
 from experiment_runner.loggers import LOGGERS
 from experiment_runner.loggers.stream import points_of, stream
-from experiment_runner.store.layout import remove_run
-from experiment_runner.store.lock import DirectoryTaken, RunLock
+from experiment_runner.store.layout import DirectoryTaken, RunLock, remove_run
 from experiment_runner.store.results import Results
 from glue.errors import ConfigError, ExperimentError
 from tests.system.runs import run as execute

@@ -16,6 +16,7 @@ import pytest
 from tests.experiment_runner.loggers.programs import PROGRAMS, PROJECT, Shown, prepare, settings
 from tests.forked import BIN
 from tests.pages import DOCS, blocks, run_block
+from tests.proof import size
 from tests.system.runs import start
 
 pytestmark = pytest.mark.slow
@@ -85,10 +86,22 @@ def test_finished_run_is_sent_once(program: str, tmp_path: Path) -> None:
     check(program, run)
 
 
+@pytest.mark.proof
 def test_run_in_progress_is_sent_however_often_the_streaming_is_killed(program: str, tmp_path: Path) -> None:
     run, chance = tmp_path / "mine", random.Random(program)
     prepare(program, tmp_path)
-    plan = ("--env", "mario", "--agent", "hierarchical", "--episodes", 1500, "--trials", 2, "--seed", 1)
+    plan = (
+        "--env",
+        "mario",
+        "--agent",
+        "hierarchical",
+        "--episodes",
+        size(700, 1500),
+        "--trials",
+        2,
+        "--seed",
+        1,
+    )
     with start(*plan, "--in-process", "--out", run, cwd=tmp_path) as running:
         while not (run / "results.sqlite").exists():
             assert running.poll() is None

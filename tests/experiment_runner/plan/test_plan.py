@@ -13,13 +13,7 @@ import experiment_runner.plan.file as plan_file
 from experiment_runner.cli.make_plan import make_plan
 from experiment_runner.plan.file import dump_plan, load_plan, parse_plan
 from experiment_runner.plan.limits import PLAYERS
-from experiment_runner.plan.plan import (
-    Plan,
-    RoleSpec,
-    RoleSweep,
-    describe,
-    differences,
-)
+from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, describe, differences
 from glue.errors import ConfigError, ExperimentError
 
 SMALL = """

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.processes.scratch import SOCKET, scratch_folder
-from experiment_runner.store.lock import LOCK_FILE, RunLock
+from experiment_runner.store.layout import LOCK_FILE, RunLock
 
 
 def test_folder_of_a_killed_run_is_removed_and_that_of_a_living_one_stays(

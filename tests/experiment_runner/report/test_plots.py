@@ -11,8 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiment_runner.analysis.compare import tolerance_interval
 from experiment_runner.analysis.curves import StepTotals
+from experiment_runner.analysis.stats import tolerance_interval
 from experiment_runner.report.plots import (
     Layout,
     comparison,

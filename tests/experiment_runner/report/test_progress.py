@@ -11,17 +11,10 @@ import pytest
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.store.records import EpisodeResult, TrialRecord
+from tests.clock import Clock
 
 PLAN = Plan(episodes=50, trials=3, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 FIRST, SECOND, THIRD = PLAN.expand()
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Terminal(io.StringIO):
@@ -65,7 +58,7 @@ def records(*specs: TrialSpec, done: int = 0) -> list[TrialRecord]:
 
 @pytest.fixture
 def clock() -> Clock:
-    return Clock()
+    return Clock(1000.0)
 
 
 @pytest.fixture
@@ -170,7 +163,7 @@ def test_table_fits_the_terminal(terminal: Terminal, clock: Clock) -> None:
 
 def test_narrow_terminal_shows_what_matters_most(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "40")
-    begun(terminal, Clock(), FIRST).episode(FIRST, result(25))
+    begun(terminal, Clock(1000.0), FIRST).episode(FIRST, result(25))
     assert terminal.screen()[:2] == ["trial          episode  left", "sarsa/mines/0    25/50   0 s"]
     assert terminal.screen()[2].endswith(" 50%")
     assert all(len(line) < 40 for line in terminal.screen())
@@ -178,7 +171,7 @@ def test_narrow_terminal_shows_what_matters_most(terminal: Terminal, monkeypatch
 
 @pytest.mark.parametrize("color", [False, True])
 def test_bar_has_a_color_unless_that_is_not_wanted(terminal: Terminal, color: bool) -> None:
-    progress = Progress(terminal, Clock(), color=color)
+    progress = Progress(terminal, Clock(1000.0), color=color)
     progress.start(records(FIRST))
     progress.begin(FIRST, 0, 0)
     progress.episode(FIRST, result(25))

@@ -14,8 +14,7 @@ from experiment_runner.slurm.array import (
     gather,
     gathering_job,
 )
-from experiment_runner.store.layout import PARTS, parts_of, runs_under
-from experiment_runner.store.lock import DirectoryTaken
+from experiment_runner.store.layout import PARTS, DirectoryTaken, parts_of, runs_under
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError

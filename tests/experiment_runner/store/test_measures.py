@@ -28,7 +28,7 @@ import experiment_runner.store.schema as schema
 
 schema.MIGRATIONS += ((f"ALTER TABLE episodes ADD COLUMN {records.MEASURES['reached'].sql}",),)
 
-from experiment_runner.store.export import episode_table, write_csv
+from experiment_runner.store.run_data import episode_table, write_csv
 from experiment_runner.store.store import Store
 
 with Store.open(Path(sys.argv[1])) as store:

@@ -21,8 +21,7 @@ from hypothesis import strategies as st
 
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store import schema
-from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE, UNFINISHED
-from experiment_runner.store.lock import lock_holder
+from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE, UNFINISHED, lock_holder
 from experiment_runner.store.records import Checkpoint, EpisodeResult, OutsidePlayer, RunEvent, Void
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store

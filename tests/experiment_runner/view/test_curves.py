@@ -14,7 +14,7 @@ from experiment_runner.analysis.curves import of_metric, over_episodes
 from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import bootstrap_rng, estimate, mean, running_mean
 from experiment_runner.executors.opening import open_run
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, TrialSpec
 from experiment_runner.report.overview import as_object
 from experiment_runner.report.svg import Line, draw, sample

@@ -23,13 +23,11 @@ from experiment_runner.competition.records.verify import verify
 from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_text, overview
-from experiment_runner.store.export import episode_table
-from experiment_runner.store.layout import clear, remove_run, runs_under
-from experiment_runner.store.live_sessions import live_sessions
-from experiment_runner.store.lock import lock_holder
+from experiment_runner.store.layout import clear, live_sessions, lock_holder, remove_run, runs_under
 from experiment_runner.store.merge import merge
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import episode_table
 from experiment_runner.store.store import Store
 from experiment_runner.view.catalog import Catalog, run_in_full
 from glue.errors import GlueError
@@ -39,7 +37,7 @@ from tests.forked import run
 
 PLAN = Plan(episodes=2, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 PRECIOUS = b"precious " * 20
-SECONDS = 30  # more than any of these takes
+SECONDS = 200  # more than any of these takes on a busy machine
 
 
 def fifo(path: Path, target: Path) -> None:

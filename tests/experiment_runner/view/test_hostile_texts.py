@@ -23,13 +23,13 @@ from experiment_runner.report.comparing import COLUMNS, compared
 from experiment_runner.report.overview import Overview, as_object, as_text, overview
 from experiment_runner.report.progress import Progress
 from experiment_runner.report.tables import format_table, tabulate
-from experiment_runner.store.export import episode_table, metric_table, write_csv, write_json
 from experiment_runner.store.records import EpisodeResult, Reading
 from experiment_runner.store.results import Results
+from experiment_runner.store.run_data import episode_table, metric_table, write_csv, write_json
 from experiment_runner.view.catalog import Catalog, run_in_full
 from experiment_runner.view.curves import Wanted, curves
 from experiment_runner.view.export import as_page
-from experiment_runner.view.reader import as_json
+from experiment_runner.view.stream import as_json
 
 HOSTILE = "=cmd|x\x1b[2J\r\u202e\x9b31m<b>\nError: forged"
 PLAN = Plan(episodes=1, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
@@ -91,7 +91,7 @@ def test_a_change_that_is_found_while_the_last_page_goes_away_is_not_lost(tmp_pa
         def changes(self) -> dict[str, dict[str, Any] | None]:
             found = super().changes()
             looking.release()
-            assert go_on.acquire(timeout=30)
+            assert go_on.acquire(timeout=60)
             return found
 
     store = make_run(tmp_path / "a")  # stays open, so that reading it changes no file

@@ -16,15 +16,7 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
 from glue.client.libzmq import Relay, new_pair
 from glue.client.players import serve_agent
-from glue.client.season import (
-    Membership,
-    Page,
-    Progress,
-    Season,
-    SeasonBusy,
-    SeasonRefused,
-    read_membership,
-)
+from glue.client.season import Membership, Page, Progress, Season, SeasonBusy, SeasonRefused, read_membership
 from glue.client.target import OwnKey, Target
 from glue.errors import ConfigError
 from glue.hub.config import Bind, HubConfig, Keys, Permit
@@ -296,6 +288,6 @@ def test_a_program_without_keys_plays_through_a_relay(tmp_path: Path) -> None:
             glue.rl_init(1)
             ends = [glue.rl_episode(50) for _ in range(3)]
             hub.stop("the experiment is over")
-            player.join(10)
+            player.join(60)
     assert not player.is_alive()
     assert len(ends) == 3

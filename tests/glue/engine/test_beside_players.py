@@ -14,13 +14,14 @@ from glue.engine.checking import CheckedActions
 from glue.engine.local import local
 from glue.errors import ConfigError, PeerFailed
 from glue.extras import Extra
+from glue.pace import Pace
 from glue.plugins.batched import BatchedEnvironments
 from glue.roles import Agent, Environment, MaskAgent, capabilities, offers
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Kind, Role
 from tests.glue.client.dialogue import Dialogue, Script, experiment, serve
 from tests.glue.hub.test_inside_players import arranged
-from tests.hubs import over_the_hub
+from tests.hubs import hub_with, over_the_hub
 
 SPEC = (
     "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1.0 OBSERVATIONS INTS (0 9) "
@@ -208,6 +209,18 @@ def test_without_a_mask_or_a_known_task_every_action_is_passed_on() -> None:
     assert capabilities(CheckedActions(Showing())) == capabilities(Showing())
     with pytest.raises(ConfigError, match="many games at once"):
         CheckedActions(BatchedEnvironments([Plain()]))
+
+
+def test_actions_are_checked_only_at_a_hub_that_waits() -> None:
+    for pace in (Pace(rate=10.0), Pace(delay=1)):
+        with (
+            hub_with(pace=pace) as url,
+            pytest.raises(ConfigError, match=r"Showing cannot check actions here: .* a rate"),
+        ):
+            glue.serve_environment(CheckedActions(Showing()), url)
+    with over_the_hub(Seeing(masks=False), CheckedActions(Showing())) as connected:
+        connected.rl_init()
+        assert connected.rl_start().observation.packed_mask == FULL.packed_mask
 
 
 class Plain(Showing):

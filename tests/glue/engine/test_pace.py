@@ -17,17 +17,9 @@ from glue.errors import ConfigError, PeerFailed, RemoteProtocolError, Unsupporte
 from glue.pace import Pace
 from glue.types import Action
 from glue.wire.messages import Kind
+from tests.clock import Clock
 from tests.hubs import over_the_hub
 from tests.players import ScriptedAgent, ScriptedEnvironment
-
-
-class Clock:
-    """A clock that stands still until it is set."""
-
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Thinking(ScriptedAgent):
@@ -152,6 +144,16 @@ def test_a_delayed_action_is_carried_out_so_many_steps_later(pace: Pace, made: l
         assert [call for call in calls if call.startswith("env_step")] == [f"env_step [{a}]" for a in made]
         assert [call for call in calls if call.startswith("agent_step")][:1] == ["agent_step 1 [1]"]
         assert glue.late_actions() == 0
+
+
+def test_a_delayed_action_that_is_late_counts_when_it_is_carried_out() -> None:
+    glue, _ = begun(Pace(rate=1.0, delay=2), 0.0, 1.5, length=9)
+    glue.rl_start()
+    counts = []
+    for _ in range(4):
+        glue.rl_step()
+        counts.append(glue.late_actions())
+    assert counts == [0, 0, 1, 1]  # at 1 s nothing has been answered
 
 
 def test_half_steps_have_the_same_pace() -> None:

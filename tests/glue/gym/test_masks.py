@@ -20,7 +20,7 @@ from gymnasium import spaces  # noqa: E402
 
 import glue.gym  # noqa: E402
 import tests.glue.gym.environments  # noqa: E402, F401
-from glue.gym.masks import MaskCodec  # noqa: E402
+from glue.gym.spaces import MaskCodec  # noqa: E402
 
 ONES = np.ones(2, np.int8)
 
@@ -154,10 +154,7 @@ gymnasium.register("tests/Unbounded-v0", entry_point=Unbounded)
 
 def test_a_wrapped_environment_has_masks_and_extras_in_its_infos() -> None:
     env = glue.gym.wrap(make("gymnasium:tests/Masked-v0", action_mask=True, infos="step,path,worth"))
-    assert (env.observation_space, env.action_space) == (
-        spaces.Discrete(10),
-        spaces.MultiDiscrete([3, 2]),
-    )
+    assert (env.observation_space, env.action_space) == (spaces.Discrete(10), spaces.MultiDiscrete([3, 2]))
     _, info = env.reset(seed=1)
     assert plain(info["action_mask"]) == ([1, 1, 0], [1, 0])
     assert info["action_mask"][0].dtype == np.int8

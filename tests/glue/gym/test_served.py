@@ -28,8 +28,7 @@ from tests.hubs import hub_with, over_the_hub
 gymnasium: Any = pytest.importorskip("gymnasium", reason="needs Gymnasium: the extra gym")
 import glue.gym  # noqa: E402
 import tests.glue.gym.environments  # noqa: E402, F401
-from glue.gym.codec import Codec  # noqa: E402
-from glue.gym.spaces import read_spaces  # noqa: E402
+from glue.gym.spaces import Codec, read_spaces  # noqa: E402
 from glue.gym.vectors import infos_of_step  # noqa: E402
 
 Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]

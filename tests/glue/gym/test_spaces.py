@@ -15,8 +15,11 @@ from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation
 
 spaces: Any = pytest.importorskip("gymnasium.spaces", reason="needs Gymnasium: the extra gym")
-from glue.gym.codec import Codec  # noqa: E402
-from glue.gym.spaces import read_spaces, task_spec  # noqa: E402
+from glue.gym.spaces import (  # noqa: E402
+    Codec,
+    read_spaces,
+    task_spec,
+)
 
 SHAPES = st.lists(st.integers(0, 3), max_size=3).map(tuple)
 INTEGERS = st.sampled_from([np.int8, np.int16, np.int32, np.int64, np.uint16])

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
 
+from glue.errors import ConfigError
 from glue.hub.io.connection import Connection
+from glue.hub.io.listener import open_address, reserve
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
 from tests.scripted.peer import TIMEOUT
@@ -27,6 +32,50 @@ def connected() -> Iterator[tuple[Connection, socket.socket]]:
         yield connection, other
     connection.close()
     loop.close()
+
+
+def test_a_port_that_is_reserved_can_be_opened_again_and_again_by_those_who_know() -> None:
+    with open_address("tcp://127.0.0.1:*") as free:
+        url = free.endpoint
+    with reserve(url):
+        for _ in range(2):
+            with (
+                open_address(url, reserved=True) as opened,
+                socket.create_connection(("127.0.0.1", opened.port)),
+            ):
+                opened.socket.accept()[0].close()
+            with pytest.raises(ConfigError, match="in use"):
+                open_address(url)
+            with pytest.raises(ConnectionRefusedError):
+                socket.create_connection(("127.0.0.1", port_of(url)))
+    with (
+        open_address("tcp://127.0.0.1:*") as taken,
+        pytest.raises(ConfigError, match="in use"),
+        reserve(taken.endpoint),
+    ):
+        pass
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_a_port_that_is_reserved_is_closed_to_other_users() -> None:
+    with open_address("tcp://127.0.0.1:*") as free:
+        url = free.endpoint
+    program = f"""\
+import os, socket
+os.setuid(65534)
+for shared in (False, True):
+    try:
+        socket.create_server(("127.0.0.1", {port_of(url)}), reuse_port=shared)
+    except OSError:
+        continue
+    raise SystemExit(1)
+"""
+    with reserve(url):
+        assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
+
+
+def port_of(url: str) -> int:
+    return int(url.rpartition(":")[2])
 
 
 @pytest.mark.parametrize("reading", [True, False])

@@ -9,6 +9,8 @@ from glue.pace import Pace
 from glue.types import Action, Observation
 from glue.wire.messages import ErrorCode, Event, Kind, Message, Role
 from tests.glue.hub.test_sessions import Rig, error, notices
+from tests.hubs import over_the_hub
+from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.weighing import check_sessions
 
 TIME = TimeLimits(step_seconds=1.0, bank_seconds=3.0)
@@ -33,7 +35,9 @@ def only(rig: Rig, channel: str) -> Message:
     return call
 
 
-def begun(pace: Pace, *abilities: str, time: TimeLimits | None = None) -> Rig:
+def begun(
+    pace: Pace, *abilities: str, time: TimeLimits | None = None, experiment: tuple[str, ...] = ()
+) -> Rig:
     """Return a rig in an RL_episode: the agent has answered its start with action 100.
 
     The first step is due at once, and has been asked for.
@@ -41,7 +45,7 @@ def begun(pace: Pace, *abilities: str, time: TimeLimits | None = None) -> Rig:
     rig: Rig = Rig(HubConfig(heartbeat=1.0, timeout=5.0, time=time, pace=pace))
     rig.hello("e", Role.ENVIRONMENT)
     rig.hello("a", Role.AGENT, abilities=abilities)
-    rig.hello("x", Role.EXPERIMENT)
+    rig.hello("x", Role.EXPERIMENT, abilities=experiment)
     rig.ask(Kind.RL_INIT, 1, None)
     rig.serve()
     rig.ask(Kind.RL_EPISODE, 2, 0)
@@ -90,6 +94,36 @@ def test_a_late_agents_call_stays_outstanding_and_its_answer_is_carried_out_next
     rig.wait(0.1)
     assert step(rig, 6) == action(104)
     assert rig.sessions.num_late("s") == 5  # two of them not chosen for the newest observation
+
+
+@pytest.mark.parametrize(("experiment", "told"), [((), (3,)), (("pace",), (3, 2))])
+def test_an_experiment_with_the_capability_is_told_how_many_actions_were_late(
+    experiment: tuple[str, ...], told: tuple[int, ...]
+) -> None:
+    rig = begun(Pace(rate=10.0), experiment=experiment)
+    step(rig, 1)
+    first = only(rig, "a")
+    rig.wait(0.1)
+    step(rig, 2)
+    rig.put("a", first.kind, first.seq, body=action(101))
+    rig.wait(0.1)
+    step(rig, 3, terminal=True)
+    for _ in range(2):
+        call = only(rig, "a")
+        rig.put("a", call.kind, call.seq, body=action(102) if call.kind is Kind.AGENT_STEP else b"")
+    rig.received("x")
+    (reply,) = rig.say("x", Kind.RL_NUM_STEPS, 3)
+    assert reply.scalars == told
+
+
+def test_a_welcome_confirms_the_pace_to_experiments_where_there_is_one() -> None:
+    for pace, confirmed in ((Pace(rate=10.0), [(("mask", "pace"),)]), (Pace(), [(("mask",),)])):
+        rig: Rig = Rig(HubConfig(pace=pace))
+        rig.hello("a", Role.AGENT)
+        (welcome,) = rig.hello("x", Role.EXPERIMENT, abilities=("mask", "pace"))[:1]
+        assert [welcome.scalars[5:]] == confirmed
+        (welcome,) = rig.hello("b", Role.AGENT, session="t", abilities=("mask", "pace"))[:1]
+        assert welcome.scalars[5:] == (("mask",),)
 
 
 def test_an_episode_that_ends_while_the_agent_is_late_waits_for_its_answer() -> None:
@@ -241,3 +275,13 @@ def test_a_batch_has_no_pace() -> None:
     rig.answer("e")
     code, text = error(rig.received("x"))
     assert (code, "no rate and no delay" in text) == (ErrorCode.UNSUPPORTED, True)
+
+
+@pytest.mark.parametrize(("pace", "late"), [(Pace(delay=1), 0), (Pace(), None)])
+def test_an_experiment_in_another_process_knows_how_many_actions_were_late(
+    pace: Pace, late: int | None
+) -> None:
+    with over_the_hub(ScriptedAgent([]), ScriptedEnvironment(3, 1.0, []), pace=pace) as glue:
+        glue.rl_init()
+        assert glue.rl_episode()
+        assert (glue.late_actions(), glue.rl_num_steps()) == (late, 3)

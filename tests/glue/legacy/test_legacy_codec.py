@@ -192,6 +192,18 @@ def test_once_another_message_has_begun_no_end_of_a_text_is_expected() -> None:
         decoder.next_event()
 
 
+def test_the_end_of_a_text_is_not_expected_after_a_whole_message() -> None:
+    decoder = Decoder(FROM_AGENT)
+    decoder.receive_data(raw(10, text_of("é".encode())))
+    assert [message.kind for message in events(decoder)] == [Kind.AGENT_MESSAGE]
+    assert decoder.overhang
+    assert decoder.answer(raw(7), Kind.AGENT_END) is None  # it would not end the wait for the end
+    decoder.receive_data(raw(7) + b"\xa9" + raw(7))
+    assert decoder.next_event() == Frame(Kind.AGENT_END)
+    with pytest.raises(RemoteProtocolError, match="kind"):
+        decoder.next_event()
+
+
 def test_a_text_may_have_a_million_bytes_and_not_one_more() -> None:
     (message,) = decode(raw(11, text_of(b"x" * MAX_STRING)), FROM_ENVIRONMENT)
     assert message.body == b"x" * MAX_STRING
@@ -283,6 +295,7 @@ def test_after_an_error_the_decoder_stays_in_error_and_keeps_nothing() -> None:
     with pytest.raises(RemoteProtocolError) as second:
         decoder.next_event()
     assert str(first.value) == str(second.value)
+    assert decoder.answer(raw(7), Kind.AGENT_END) is None
 
 
 # What cannot be sent

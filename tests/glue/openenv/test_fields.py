@@ -8,8 +8,8 @@ import pytest
 from gymnasium import spaces
 
 from glue.errors import ConfigError, SimulatorError
-from glue.gym.codec import Codec
-from glue.openenv.fields import read_schema
+from glue.gym.spaces import Codec
+from glue.openenv.environment import read_schema
 from glue.types import Observation
 
 SCHEMA: dict[str, Any] = {

@@ -13,8 +13,7 @@ from glue import load_run, local
 from glue.errors import ConfigError, LocalProtocolError
 from glue.options import build, parameters
 from glue.plugins.loading import file_in, find, located
-from glue.rlglue.package import provide
-from glue.rlglue.parser import TaskSpecParser
+from glue.rlglue.package import TaskSpecParser, provide
 from glue.taskspec import parse_task_spec
 from glue.testing import check_agent, check_environment
 from glue.types import Action, Observation

@@ -188,6 +188,13 @@ class ForgetsTheRewardsOfLateAgents(DoesNotWait):
         return [(channel, message)]
 
 
+class CountsNoLateActions(DoesNotWait):
+    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+        if message.kind is Kind.RL_NUM_STEPS and len(message.scalars) == 2:
+            message = message._replace(scalars=(message.scalars[0], 0))
+        return [(channel, message)]
+
+
 class WaitsForEver(Spoiled):
     def tick(self, now: float) -> None:
         super().tick(0.0)
@@ -282,6 +289,7 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
         saying(lambda m, seen: scalars(2, 0)(m, seen) if m.scalars[1:] else m, Kind.RL_EPISODE),
     ),
     "forgets the rewards of late agents": (HubRule.PACE, ForgetsTheRewardsOfLateAgents),
+    "counts no late actions": (HubRule.PACE, CountsNoLateActions),
     "acts before any action": (
         HubRule.LAST_ACTION,
         saying(lambda m, seen: m._replace(body=FIRST_ACTION) if len(m.body) == 16 else m, Kind.ENV_STEP),

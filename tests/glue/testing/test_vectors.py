@@ -24,7 +24,7 @@ from tests.glue.wire.examples import EXAMPLES
 
 FILE: Final = Path(glue.testing.__file__).with_name("vectors.json")
 VECTORS: Final = json.loads(FILE.read_text(encoding="utf-8"))
-READ: Final = ("messages", "observe", "truncate", "outcome", "beside", "pace", "accepted")
+READ: Final = ("messages", "observe", "truncate", "outcome", "beside", "pace", "late", "accepted")
 """Parts of the file whose entries are messages; only `messages` is for every client."""
 
 Document = dict[str, Any]

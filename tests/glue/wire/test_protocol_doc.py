@@ -26,6 +26,7 @@ from glue.wire.messages import (
     MAX_NAME,
     OBSERVING,
     OUTCOME,
+    PACE,
     PROTOCOL_VERSION,
     Body,
     ErrorCode,
@@ -165,7 +166,8 @@ def scalars_cell(shape: Shape) -> str:
     with_what = "[`mask` or `extras`](#beside-the-observation)"
     if shape.more == CONTROL[Kind.HELLO].scalars[-1:]:
         return f"; with {with_what} also ".join(cells)
-    capability = "pace" if shape is CALLS[Kind.AGENT_STEP].request else OUTCOME
+    paced = (CALLS[Kind.AGENT_STEP].request, CALLS[Kind.RL_NUM_STEPS].reply)
+    capability = PACE if shape in paced else OUTCOME
     return f"; with [`{capability}`](#capabilities) also ".join(filter(None, cells)) or NOTHING
 
 
@@ -234,7 +236,7 @@ def test_table_of_capabilities_is_that_of_the_program() -> None:
 
     documented = {(row[0].strip("`"), name) for row in rows for name in row[1].split(", ")}
     with_calls = {(c.capability, k.name) for k, c in CALLS.items() if c.capability is not None}
-    others = (ONE_RUN, OUTCOME, "truncate", "batch", "pace", *BESIDE)
+    others = (ONE_RUN, OUTCOME, "truncate", "batch", PACE, *BESIDE)
     assert documented == with_calls | {(name, NOTHING) for name in others}
 
 

@@ -10,9 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 
+from experiment_runner.executors.job import HubOptions, Placement
 from experiment_runner.executors.over_hub import listening
 from experiment_runner.executors.players import open_experiment
-from experiment_runner.executors.settings import HubOptions, Placement
 from experiment_runner.plan.plan import Plan, RoleSweep
 from glue import load_run
 from glue.hub.config import LegacyPort

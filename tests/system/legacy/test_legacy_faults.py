@@ -454,6 +454,23 @@ def let_our_environment_raise() -> None:
         rig.log.wait_for("cannot say that RL_EPISODE failed: environment ScriptedEnvironment")
 
 
+def test_a_step_ends_the_wait_for_the_end_of_a_text(rig: Rig) -> None:
+    rig.originals(MirrorAgent(), FiveStepEnvironment())
+    with closing(rig.connect()) as glue:
+        glue.send(Id.EXPERIMENT_CONNECTION)
+        glue.send(Id.RL_INIT)
+        glue.receive()
+        glue.send(Id.RL_START)
+        glue.receive()
+        glue.send(Id.RL_AGENT_MESSAGE, struct.pack(">I", 2) + "é".encode())
+        glue.receive()
+        glue.send(Id.RL_STEP)
+        glue.receive()
+        glue.send_raw(8 * b"\xa9")
+        with pytest.raises(ConnectionResetError):
+            glue.receive()
+
+
 def test_an_original_experiment_is_cut_off_when_a_player_of_ours_raises() -> None:
     with pytest.raises(PeerFailed, match="fell over"):
         let_our_environment_raise()

@@ -1,13 +1,16 @@
 #pragma once
 
+#include <cstddef>
 #include <exception>
 #include <iostream>
+#include <stdexcept>
 #include <string>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
 #include "detail/link.hpp"
+#include "detail/mask.hpp"
 #include "options.hpp"
 #include "roles.hpp"
 
@@ -18,7 +21,9 @@ namespace detail {
 /// The answer to a call, as it is being written to `frames`.
 class Answer {
  public:
-  Answer(Frames& frames, const Message& call, const Link& link) : frames_(frames), call_(call), link_(link) {
+  /// `sizes` are those of the masks of an environment.
+  Answer(Frames& frames, const Message& call, const Link& link, std::vector<std::size_t>& sizes)
+      : frames_(frames), call_(call), link_(link), sizes_(sizes) {
     frames.body.clear();
     frames.has_body = false;
     header_.begin(0, call.kind, link.session(), call.seq);
@@ -34,7 +39,16 @@ class Answer {
     frames_.has_body = true;
   }
 
+  void task_spec(std::string_view task_spec) {
+    sizes_ = mask_sizes(task_spec);
+    text(task_spec);
+  }
+
   void observation(const Observation& value) {
+    if (const std::string why = mask_fault(value.mask, sizes_); !why.empty()) {
+      const char* method = call_.kind == kEnvStart ? "start" : "step";
+      throw std::invalid_argument(method + (" returned an observation whose mask does not fit the task spec: " + why));
+    }
     value.write(frames_.body);
     frames_.has_body = true;
     link_.cut(frames_.body, true);
@@ -56,6 +70,7 @@ class Answer {
   Frames& frames_;
   const Message& call_;
   const Link& link_;
+  std::vector<std::size_t>& sizes_;
   Packer header_;
 };
 
@@ -112,7 +127,7 @@ inline bool carry_out(Agent& agent, const Message& message, Answer& answer) {
 /// Carries a call out; returns false if it is not one of an environment's.
 inline bool carry_out(Environment& environment, const Message& message, Answer& answer) {
   switch (message.kind) {
-    case kEnvInit: answer.text(environment.init()); return true;
+    case kEnvInit: answer.task_spec(environment.init()); return true;
     case kEnvStart: answer.observation(environment.start()); return true;
     case kEnvStep: answer.step(environment.step(message.first)); return true;
     case kEnvCleanup: environment.cleanup(); return true;
@@ -178,7 +193,7 @@ class Player {
   /// Carries a call out; what is to be sent is the last answer then.
   void answer(const Message& message) {
     try {
-      Answer answer(last_answer_, message, link_);
+      Answer answer(last_answer_, message, link_, sizes_);
       if (carry_out(player_, message, answer)) {
         link_.check(last_answer_.body.size());
         answer.finish();
@@ -203,6 +218,7 @@ class Player {
   std::string name_;
   Role& player_;
   Link link_;
+  std::vector<std::size_t> sizes_;
   Frames frames_;
   std::uint64_t last_seq_ = 0;
   Frames last_call_;

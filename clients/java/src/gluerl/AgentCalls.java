@@ -19,6 +19,9 @@ final class AgentCalls implements Calls {
             case AGENT_START:
                 return new Result(agent.start(new Observation(message.reader())).body());
             case AGENT_STEP:
+                if (message.scalars().length > 1 && agent instanceof Paced paced) {
+                    paced.pace(message.real(1), message.real(2));
+                }
                 return new Result(agent.step(message.real(0), new Observation(message.reader())).body());
             case AGENT_END:
                 agent.end(message.real(0));

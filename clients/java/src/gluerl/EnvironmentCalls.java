@@ -3,6 +3,7 @@ package gluerl;
 /** The calls to an environment. */
 final class EnvironmentCalls implements Calls {
     private final Environment environment;
+    private Masks masks = new Masks("");
 
     EnvironmentCalls(Environment environment) {
         this.environment = environment;
@@ -12,13 +13,15 @@ final class EnvironmentCalls implements Calls {
     public Result call(Message message) {
         switch (message.kind()) {
             case ENV_INIT:
-                return new Result(Message.utf8(environment.init()));
+                String taskSpec = environment.init();
+                masks = new Masks(taskSpec);
+                return new Result(Message.utf8(taskSpec));
             case ENV_START:
-                return new Result(environment.start().body());
+                return new Result(masks.checked("start", environment.start()).body());
             case ENV_STEP:
                 Environment.Step step = environment.step(new Action(message.reader()));
                 Object end = step.truncated() ? (Object) Message.CUT_OFF : (Object) step.terminal();
-                return new Result(step.observation().body(), step.reward(), end);
+                return new Result(masks.checked("step", step.observation()).body(), step.reward(), end);
             case ENV_CLEANUP:
                 environment.cleanup();
                 return Result.NOTHING;

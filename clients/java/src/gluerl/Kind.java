@@ -16,13 +16,13 @@ import java.util.Map;
  *
  * <p>Scalars are written as one letter each: {@code i} int, {@code f} float, {@code b} bool, {@code e} the end of an
  * episode, which is a bool or {@link Message#CUT_OFF}, {@code t} text, {@code n} int or nil, {@code x} binary, {@code I}
- * array of int, {@code T} array of text, which may be missing in what is received. A null says that the kind does not go
- * that way.
+ * array of int, {@code T} array of text, {@code F} float; T and F may be missing in what is received. A null says that the
+ * kind does not go that way.
  */
 enum Kind {
     AGENT_INIT(4, "", NONE, "", TEXT),
     AGENT_START(5, "", ACTION, "", SEEN),
-    AGENT_STEP(6, "", ACTION, "f", SEEN),
+    AGENT_STEP(6, "", ACTION, "fFF", SEEN),
     AGENT_END(7, "", NONE, "f", NONE),
     AGENT_CLEANUP(8, "", NONE, "", NONE),
     AGENT_MESSAGE(10, "", TEXT, "", TEXT),
@@ -92,6 +92,7 @@ enum Kind {
     final String toHub;
     final Body bodyToHub;
     final String fromHub;
+    final int neededFromHub;
     final Body bodyFromHub;
 
     Kind(int code, String toHub, Body bodyToHub, String fromHub, Body bodyFromHub) {
@@ -99,6 +100,7 @@ enum Kind {
         this.toHub = toHub;
         this.bodyToHub = bodyToHub;
         this.fromHub = fromHub;
+        this.neededFromHub = fromHub == null ? 0 : fromHub.replaceAll("[TF]", "").length();
         this.bodyFromHub = bodyFromHub;
     }
 

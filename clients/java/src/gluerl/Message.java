@@ -10,7 +10,7 @@ import java.nio.charset.StandardCharsets;
  * @param code the code of its kind
  * @param session the name of the session
  * @param seq the sequence number
- * @param scalars each a Long, Double, Boolean or String, as the kind says; an end is a Boolean or CUT_OFF
+ * @param scalars each a Long, Double, Boolean, String or String[], as the kind says; an end is a Boolean or CUT_OFF
  * @param body the body, or null
  */
 record Message(Kind kind, long code, String session, long seq, Object[] scalars, byte[] body) {
@@ -42,15 +42,12 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
         if (kind == null) {
             return new Message(null, code, session, seq, NO_SCALARS, body);
         }
-        int count = kind.fromHub.length();
-        if (kind.fromHub.endsWith("T") && items < 3 + count) {
-            count--;
-        }
+        int count = items > 3 + kind.neededFromHub ? kind.fromHub.length() : kind.neededFromHub;
         Object[] scalars = count == 0 ? NO_SCALARS : new Object[count];
         for (int i = 0; i < count; i++) {
             scalars[i] = switch (kind.fromHub.charAt(i)) {
                 case 'i' -> (Object) reader.integer();
-                case 'f' -> reader.real();
+                case 'f', 'F' -> reader.real();
                 case 'b' -> reader.flag() != 0;
                 case 'e' -> endOf(reader.flag());
                 case 'T' -> texts(reader);

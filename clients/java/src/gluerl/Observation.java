@@ -79,6 +79,11 @@ public final class Observation extends AbstractType {
         return all;
     }
 
+    /** Returns the size of the mask in bytes. */
+    int maskSize() {
+        return mask.length;
+    }
+
     /**
      * Returns the named values for everyone but the agent: each a Long, a Double, a String, a byte[], a long[] or a
      * double[].

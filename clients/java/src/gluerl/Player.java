@@ -25,6 +25,9 @@ final class Player {
         if (player instanceof Seedable) {
             capabilities.add("seed");
         }
+        if (player instanceof Paced) {
+            capabilities.add("pace");
+        }
         capabilities.add("mask");
         if (player instanceof Environment) {
             capabilities.addAll(List.of("extras", "truncate"));

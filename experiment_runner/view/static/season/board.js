@@ -3,7 +3,7 @@
 import { count, h, loading, score, setText, table } from "../dom.js";
 import { projector } from "../projector.js";
 import { watch } from "./data.js";
-import { counts, entrantLink, figure, interval, moment } from "./words.js";
+import { counts, entrantLink, figure, interval, moment, percent } from "./words.js";
 
 const ROWS = 100; // of the table, until more are asked for
 const WAITING = 20; // that are listed
@@ -44,11 +44,13 @@ export function mount(element, { query }) {
 function places(board, rows, isLarge) {
   if (!rows.length) return h("p", { class: "empty" }, "Nobody has enrolled yet.");
   const columns = ["place", "entrant", "score", "95 % interval", "not separated from place"];
-  const more = isLarge ? [] : ["attempt that counts", "attempts", ...board.tasks];
+  const timed = rows.some((one) => one.late !== null);
+  const more = isLarge ? [] : ["attempt that counts", "attempts", ...board.tasks, ...(timed ? ["late actions"] : [])];
   return table("Places", [...columns, ...more], rows.map((one) => [
     one.place === null ? "-" : `${one.place}`, name(one, board.you), score(one.score), interval(one), one.tied === null ? "-" : `${one.tied}`,
     one.counting.length === 1 ? `${one.counting[0]}` : one.counting.length ? `all ${count(one.counting.length)}` : "-",
-    counts(one.counts), ...board.tasks.map((task) => score(one.tasks[task]))].slice(0, columns.length + more.length)), true);
+    counts(one.counts), ...board.tasks.map((task) => score(one.tasks[task])),
+    one.late === null ? "-" : percent(one.late)].slice(0, columns.length + more.length)), true);
 }
 
 function name(one, you) {

@@ -2,7 +2,7 @@
 
 import { count, failure, h, loading, score, setText, table } from "../dom.js";
 import { load, watch } from "./data.js";
-import { counts, figure, interval, moment } from "./words.js";
+import { counts, figure, interval, moment, percent } from "./words.js";
 
 const ROWS = 100; // of attempts, until more are asked for
 
@@ -45,6 +45,7 @@ function facts(found) {
     ["score", `${score(found.score)}, 95 % interval ${interval(found)}`],
     ["attempts", counts(found.counts)],
     ["counts", found.counting.length ? found.counting.map((number) => `attempt ${number}`).join(", ") : "no attempt yet"],
+    ["late actions", found.late === null ? "" : percent(found.late)],
     ["name", found.own],
     ["team", found.team],
     ["state", found.why],

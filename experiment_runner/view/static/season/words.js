@@ -8,6 +8,9 @@ const TIME = { year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit
 export const entrantLink = (name, you) =>
   h("a", { href: `#/entrant/${encodeURIComponent(name)}` }, name === you ? `${name} (you)` : name);
 
+/** Return a share in words. */
+export const percent = (share) => `${(100 * share).toFixed(1)} %`;
+
 /** Return an interval in words. */
 export const interval = ({ low, high }) => (low === null || low === undefined ? "-" : `${score(low)} to ${score(high)}`);
 

@@ -9,7 +9,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -35,11 +35,9 @@ closes = 2026-12-22T20:00:00Z
 enrol = "open"
 images = true
 most_bytes = "1m"
-[tasks.mines]
-env = "mines"
-options = { random_start = true }
-steps = 20
-phase = "proving"
+[tasks]
+mines = { env = "mines", options = { random_start = true }, steps = 20, phase = "proving" }
+final = { env = "skeleton", episodes = 3 }
 [tasks.secret]
 env = "mines"
 options = { level_seed = 7, random_start = false }
@@ -47,9 +45,6 @@ episodes = 3
 rate = 50
 phase = "proving"
 hidden = true
-[tasks.final]
-env = "skeleton"
-episodes = 3
 """
 
 
@@ -84,11 +79,16 @@ class Entrance:
         return reply
 
     def headers(
-        self, content: bytes = b"{}", what: str = "attempt", pair: KeyPair | None = None, method: str = "POST"
+        self,
+        content: bytes = b"{}",
+        what: str = "attempt",
+        pair: KeyPair | None = None,
+        method: str = "POST",
+        now: float | None = None,
     ) -> dict[str, str]:
         """Return the headers of a request of alice."""
         digest = hashlib.sha256(content).hexdigest()
-        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, time.time())
+        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, now or time.time())
 
     def ask(
         self, content: bytes = b"{}", headers: Mapping[str, str] | None = None, what: str = "attempt"
@@ -110,7 +110,9 @@ class Entrance:
 
 
 @contextmanager
-def entrance_at(folder: Path, text: str = FILE, *, server: bool = True) -> Iterator[Entrance]:
+def entrance_at(
+    folder: Path, text: str = FILE, *, server: bool = True, now: Callable[[], float] = time.time
+) -> Iterator[Entrance]:
     """Open an entrance, with a server behind it or without one."""
     folder.mkdir()
     (folder / "competition.toml").write_text(text)
@@ -121,7 +123,7 @@ def entrance_at(folder: Path, text: str = FILE, *, server: bool = True) -> Itera
             while not over.is_set():
                 door.serve(entrance.answer, 0.01)
 
-    app = Starlette(routes=routes(folder))
+    app = Starlette(routes=routes(folder, now))
     config = uvicorn.Config(app, log_config=None, log_level="critical", lifespan="off", ws="none")
     page = uvicorn.Server(config)
     with socket.create_server(("127.0.0.1", 0)) as listening:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from experiment_runner.competition.course import Course, course_of
-from experiment_runner.competition.match import NOT_CONNECTED, Forfeited, Match, play
+from experiment_runner.competition.match import NOT_CONNECTED, Match, play
 from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.verify import judge
 from experiment_runner.competition.season.control import Attempt, Enrol, Organise, Reply, Request
@@ -43,11 +43,8 @@ code_env = "CODE"
 attempts_per_day = 3
 parallel = 2
 failures = 2
-[tasks.mines]
-env = "mines"
-options = { random_start = true }
-steps = 20
-phase = "proving"
+[tasks]
+mines = { env = "mines", options = { random_start = true }, steps = 20, phase = "proving" }
 """
 
 
@@ -59,6 +56,7 @@ class Executor:
             reports anything.
         jobs: those that have no end.
         played: ids of all trials that were played, in their order.
+        awaited: ids of those whose entrant was waited for in vain.
     """
 
     size = 99
@@ -67,6 +65,7 @@ class Executor:
         self.agents: dict[str, Any] = {}
         self.jobs: dict[str, Match] = {}
         self.played: list[str] = []
+        self.awaited: list[str] = []
         self.gates: list[str] = []
         self._reports: list[tuple[str, Any]] = []
 
@@ -84,9 +83,10 @@ class Executor:
                 self.jobs[job.spec.id] = job
             elif isinstance(agent, str):
                 reports = [Ended(agent)]
-            elif agent is Absent:
-                reports = [Forfeited(f"{NOT_CONNECTED} 30 s"), Ended(None)]
             else:  # the key is checked where there are sockets
+                if agent is Absent and not job.absent:
+                    self.awaited.append(job.spec.id)
+                    job = replace(job, absent=f"{NOT_CONNECTED} 30 s")
                 play(replace(job, entrant=replace(job.entrant, key=None)), reports.append, InThread(agent))
         self._reports += [(job.spec.id, report) for report in reports]
 

@@ -14,7 +14,7 @@ from experiment_runner.competition.records.journal import EVERYBODY, Act, act
 from experiment_runner.competition.season.board import PUBLIC, Boards, EntrantRow, SeasonBoard
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import parse_competition
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.store import Store
 
@@ -26,18 +26,10 @@ seed_env = "S"
 opens = 2026-12-01T00:00:00Z
 closes = 2026-12-20T00:00:00Z
 enrol = "open"
-[tasks.walk]
-env = "skeleton"
-episodes = 1
-phase = "proving"
-[tasks.unseen]
-env = "skeleton"
-episodes = 1
-phase = "proving"
-hidden = true
-[tasks.final]
-env = "skeleton"
-episodes = 1
+[tasks]
+walk = { env = "skeleton", episodes = 1, phase = "proving" }
+unseen = { env = "skeleton", episodes = 1, phase = "proving", hidden = true }
+final = { env = "skeleton", episodes = 1 }
 """
 
 SECRET = b"nobody knows"
@@ -58,6 +50,7 @@ class Made:
         self.acts: list[Act] = []
         self.outcomes: dict[str, TrialEnd] = {}
         self.verdicts: dict[str, ReplayVerdict] = {}
+        self.late: dict[str, tuple[int, int]] = {}
         for name in names:
             self.act(journal.ENROL, name, player=f"{name}.pub", id=f"key of {name}", alias=f"alias of {name}")
 
@@ -107,7 +100,7 @@ class Made:
 
     def board(self, viewer: str = PUBLIC) -> SeasonBoard:
         """Return the board now."""
-        return Boards(self.course, self.outcomes, self.verdicts, self.now).seen_by(viewer)
+        return Boards(self.course, self.outcomes, self.verdicts, self.late, self.now).seen_by(viewer)
 
     def rows(self, viewer: str = PUBLIC) -> dict[str, EntrantRow]:
         """Return the rows of the board by what they show."""

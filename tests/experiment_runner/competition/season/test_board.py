@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act
 from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards, EntrantRow, SeasonBoard
+from experiment_runner.competition.season.forms import as_text
 from experiment_runner.store.records import ReplayVerdict
 from glue.errors import ExperimentError
 from tests.experiment_runner.competition.season.made import FILE, Made
@@ -53,6 +54,19 @@ def test_the_file_says_which_attempts_count(count: str, score: float, counting: 
     assert [one.number for one in row.attempts if one.counts] == counting
     assert row.attempts[3].place == 1
     assert made.board().waiting == (("ann", 4),)
+
+
+def test_the_share_of_late_actions_is_that_of_the_attempts_that_count(made: Made) -> None:
+    assert "late" not in as_text(made.board())
+    trials = made.competition.trials
+    for name, score, late in (("ann", 1.0, 30), ("ann", 2.0, 5), ("bob", 3.0, 0), ("cy", 1.0, None)):
+        number = made.attempt(name, score)
+        if late is not None:  # in each trial of the task with a rate
+            made.late |= {f"{name}/walk/{(number - 1) * trials + i}": (late, 50) for i in range(trials)}
+    rows = made.rows()
+    assert (rows["ann"].late, rows["bob"].late, math.isnan(rows["cy"].late)) == (0.1, 0.0, True)
+    text = as_text(made.board())
+    assert ("10.0%" in text, " 0.0%" in text, "nan" in text) == (True, True, False)
 
 
 def test_what_was_withdrawn_excluded_ours_or_not_verified_does_not_count(made: Made) -> None:
@@ -133,7 +147,7 @@ def test_one_viewer_does_not_see_what_was_made_for_another() -> None:
     made = Made(NAMES)
     made.attempt("ann", 1.0)
     made.act(journal.PAUSE, "ann", "three forfeits")
-    boards = Boards(made.course, made.outcomes, made.verdicts, made.now)
+    boards = Boards(made.course, made.outcomes, made.verdicts, made.late, made.now)
     for viewer in ("ann", PUBLIC, ORGANISER, "ann", "bob", PUBLIC):
         assert boards.seen_by(viewer) == made.board(viewer)
 
@@ -230,7 +244,7 @@ def test_what_a_program_says_of_its_owner_is_for_its_owner(made: Made, reason: s
 def test_boards_that_are_old_leave_the_memory_at_once() -> None:
     made = Made(["alice"])
     made.attempt("alice", 1.0)
-    boards = Boards(made.course, made.outcomes, made.verdicts, made.now)
+    boards = Boards(made.course, made.outcomes, made.verdicts, made.late, made.now)
     for viewer in (PUBLIC, ORGANISER, "alice"):
         boards.seen_by(viewer)
     old = weakref.ref(boards)

@@ -16,8 +16,6 @@ from tests.experiment_runner.competition import contest
 from tests.experiment_runner.competition.season.inside import FILE, Season
 from tests.experiment_runner.competition.season.made import Made
 
-pytestmark = pytest.mark.slow
-
 WITH_TESTING = (
     FILE
     + f"""
@@ -36,6 +34,7 @@ def compete(folder: Path, *arguments: str) -> str:
     return f"{done.returncode}\n{done.stdout}{done.stderr}"
 
 
+@pytest.mark.stage("season")
 def test_a_season_is_closed_tested_bundled_and_verified(tmp_path: Path) -> None:
     contest.write(tmp_path, WITH_TESTING)
     season = Season(tmp_path, WITH_TESTING)

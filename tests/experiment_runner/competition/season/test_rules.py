@@ -107,8 +107,8 @@ def test_changes_of_the_rules_are_acts_and_others_are_refused_by_name() -> None:
     assert changes(made.competition.season, made.competition.season) == {}
     for old, new, what in (
         ("trials = 2", "trials = 3", "trials"),
-        ("[tasks.unseen]", "[tasks.other]", "tasks"),
-        ("hidden = true", "", "phases"),
+        ("unseen =", "other =", "tasks"),
+        (", hidden = true", "", "phases"),
         ("episodes = 1", "episodes = 2", "episodes or steps"),
         ("[season]", "[limits]\ncpus = 2\n[season]", "limits"),
     ):
@@ -125,8 +125,8 @@ def test_an_attempt_has_the_levels_of_a_run_on_the_same_tasks() -> None:
     alone = parse_competition(
         FILE.partition("[season]")[0]
         + FILE.partition('enrol = "open"\n')[2]
-        .replace('phase = "proving"\n', "")
-        .replace("hidden = true\n", "")
+        .replace(', phase = "proving"', "")
+        .replace(", hidden = true", "")
         + '[entrants.ann]\ncommand = ["true"]\n',
         Path("spring.toml"),
     )

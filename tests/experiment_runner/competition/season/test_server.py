@@ -11,6 +11,7 @@ import pytest
 from experiment_runner.cli.compete_serve import organise
 from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.seal import broken
+from experiment_runner.competition.season.acts import addition
 from experiment_runner.competition.season.control import (
     Attempt,
     Enrol,
@@ -23,10 +24,11 @@ from experiment_runner.competition.season.control import (
 )
 from experiment_runner.competition.season.server import gate_of
 from experiment_runner.competition.settings import Gate
-from experiment_runner.store.lock import DirectoryTaken
+from experiment_runner.store.layout import DirectoryTaken
 from glue.client.libzmq import new_pair
 from glue.errors import ConfigError, ExperimentError
 from glue.keys.certificates import encode
+from tests.experiment_runner.competition.players import Walker
 from tests.experiment_runner.competition.season.inside import CODE, FILE, SECRET, Absent, Raising, Season
 
 
@@ -250,6 +252,20 @@ def test_one_that_does_not_come_back_after_a_restart_loses_nothing(season: Seaso
     assert season.states("alice") == {1: "ours", 2: "cancelled"}
 
 
+def test_who_is_absent_is_waited_for_once(season: Season) -> None:
+    season.enrol("alice")
+    season.executor.agents["alice"] = Absent
+    season.attempt("alice")
+    assert season.states("alice") == {1: "over"}
+    assert season.executor.awaited == ["alice/mines/0"]
+    assert season.state.attempt("alice", 1).why == "mines, trial 0: it did not connect within 30 s"
+    assert [one.reason for one in season.store.outcomes().values()] == 2 * ["it did not connect within 30 s"]
+    assert [one.problem for one in season.store.verdicts().values()] == [None, None]
+    season.executor.agents["alice"] = Walker()
+    season.attempt("alice")
+    assert len(season.executor.awaited) == 1
+
+
 def test_nothing_is_played_without_end(season: Season) -> None:
     season.enrol("alice")
     season.executor.agents["alice"] = None
@@ -375,18 +391,56 @@ def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(tmp_path: Path) -
             made.ask(alice)
 
 
+def test_an_image_is_run_again_as_it_was_and_kept_for_that(tmp_path: Path) -> None:
+    made = Season(tmp_path, FILE.replace("failures = 2", "failures = 2\nimages = true"))
+    first, unused, last = ("sha256:" + 64 * digit for digit in "012")
+    with made.stack:
+        made.enrol("alice", "bob")
+        made.ask(Submit("alice", first, "alice:1"))
+        made.executor.agents["alice"] = made.executor.agents["bob"] = None
+        made.ask(Attempt("alice"))
+        made.turns()
+        made.act("exclude", "alice")
+        made.act("readmit", "alice")
+        made.ask(Submit("alice", unused, "alice:2"))
+        made.ask(Submit("alice", last, "alice:3"))
+        made.act("rerun", "alice")
+        made.turns()
+        (job,) = made.executor.jobs.values()
+        assert (job.spec.id, job.entrant.id) == ("alice/mines/2", first)
+        keys = {made.state.entrants["bob"].act.id}
+        assert made.course.images - keys == {first, last}
+        made.act("close")
+        assert made.course.images - keys == {last}
+
+
 def test_entrants_of_the_file_play_by_themselves(tmp_path: Path) -> None:
     walk = '[entrants.walk]\ncommand = ["true"]\n'
     made = Season(tmp_path)
     with made.stack:
-        (tmp_path / "late.toml").write_text(made.text + walk)
-        made.act("add", file=str(tmp_path / "late.toml"))
+        late = tmp_path / "late.toml"
+        late.write_text(made.text + walk)
+        wish = addition(made.course, late, b"chance")
+        made.act("add", **wish)
         made.turns()
         assert made.states("walk") == {1: "over"}
+        assert made.state.entrants["walk"].act.alias  # it was not to have the only own name on the board
+        with pytest.raises(ExperimentError, match="has changed meanwhile"):
+            made.act("add", **wish)
         made.text += walk
         made.restart()
         with pytest.raises(ExperimentError, match="has no entrant that does not take part already"):
-            made.act("add", file=str(tmp_path / "late.toml"))
+            addition(made.course, late, b"chance")
+
+
+def test_entrants_of_the_file_have_pseudonyms_from_the_start(tmp_path: Path) -> None:
+    made = Season(
+        tmp_path, FILE + '[entrants.walk]\ncommand = ["true"]\n[entrants.stand]\ncommand = ["true"]\n'
+    )
+    with made.stack:
+        aliases = {name: one.act.alias for name, one in made.state.entrants.items()}
+    assert aliases.keys() == {"walk", "stand"}
+    assert len({*aliases.keys(), *filter(None, aliases.values())}) == 4
 
 
 def test_what_may_be_changed_in_the_file_takes_effect(season: Season) -> None:

@@ -157,11 +157,7 @@ def test_fewer_trials_want_another_directory(study: Path) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        ((), "from 1 to 8"),
-        (("--report-only", "4"), "omit the experiments"),
-        (("9",), "'9' is not one of"),
-    ],
+    [((), "from 1 to 8"), (("--report-only", "4"), "omit the experiments"), (("9",), "'9' is not one of")],
 )
 def test_usage_error_names_the_remedy(arguments: tuple[str, ...], message: str) -> None:
     done = CliRunner().invoke(paper, arguments)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.analysis.settings import collect
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.report.overview import setting_numbers
 from experiment_runner.store.records import EpisodeResult

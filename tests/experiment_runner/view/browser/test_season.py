@@ -108,10 +108,7 @@ def test_from_the_board_a_click_leads_to_an_entrant_its_attempt_and_its_picture(
     browser.go("board")
     browser.find("a[href='#/entrant/otter']").click()
     rows = browser.has_table("Attempts")
-    assert [row[:2] for row in rows[1:]] == [
-        ["2", rows[1][1]],
-        ["1", rows[2][1]],
-    ]
+    assert [row[:2] for row in rows[1:]] == [["2", rows[1][1]], ["1", rows[2][1]]]
     assert sum("counts" in row[1] for row in rows) == 1  # the best of them
     browser.find("a[href='#/replay/otter/1']").click()
     browser.find("a[href='#/replay/otter/1/mines/0/1']").click()

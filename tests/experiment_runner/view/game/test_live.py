@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.store.live_sessions import HUBS_FILE, LiveSession, LiveSessions, live_sessions
+from experiment_runner.store.layout import HUBS_FILE, LiveSession, LiveSessions, live_sessions
 from glue.types import Action, Observation, body_size
 from tests.experiment_runner.view.pages import Page, Stream, glue_view
 from tests.terminal import Terminal

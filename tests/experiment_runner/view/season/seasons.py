@@ -14,12 +14,7 @@ from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.journal import ENROL, OVER, REQUEST, START, Act, act
 from experiment_runner.competition.records.record import RecordFile, record_path
 from experiment_runner.competition.records.replay import made_for
-from experiment_runner.competition.records.seal import (
-    add_trials,
-    record_acts,
-    record_outcome,
-    record_verdict,
-)
+from experiment_runner.competition.records.seal import add_trials, record_acts, record_outcome, record_verdict
 from experiment_runner.competition.records.verify import judge
 from experiment_runner.competition.settings import parse_competition
 from experiment_runner.competition.trials import attempt_trials, levels
@@ -43,12 +38,8 @@ closes = 2026-12-01T00:00:00
 enrol = "open"
 names = "{names}"
 parallel = 2
-[tasks.mines]
-env = "mines"
-options = {{ random_start = true }}
-episodes = 2
-max_steps = 30
-phase = "proving"
+[tasks]
+mines = {{ env = "mines", options.random_start = true, episodes = 2, max_steps = 30, phase = "proving" }}
 [tasks.deep]
 env = "mines"
 options = {{ random_start = true }}

@@ -26,7 +26,7 @@ def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed
         publisher.publish()
         public = tmp_path / "public"
         assert {path.name for path in public.iterdir()} == {
-            *("index.html", "static", "season.json", "feed.xml", "entrants"),
+            *("index.html", "static", "season.json", "feed.xml", "entrants")
         }
         board = json.loads((public / "season.json").read_text())
         assert (board["replays"], [one["name"] for one in board["entrants"]]) == (False, ["amber lynx"])
@@ -78,10 +78,17 @@ def test_a_mistake_is_one_line(tmp_path: Path, arguments: tuple[str, ...], words
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_page_logs_json_too(tmp_path: Path) -> None:
+    done = run("glue-compete", "page", str(tmp_path), "--log-format", "json", cwd=tmp_path)
+    (line,) = map(json.loads, done.stderr.splitlines())
+    assert line.keys() == {"time", "message"}
+    assert "holds no competition" in line["message"]
+
+
 def test_a_page_that_is_killed_is_started_again_and_ends_with_its_server(tmp_path: Path) -> None:
     lines: list[str] = []
     with Held(tmp_path / "spring") as held:
-        with season_viewed(held.directory, page="127.0.0.1:0", say=lines.append):
+        with season_viewed(held.directory, {"page": "127.0.0.1:0", "insecure": False}, lines.append):
             first = _page_of(held.directory)
             os.kill(first, signal.SIGKILL)
             wait_until(lambda: bool(lines), "the news of its end")

@@ -12,7 +12,7 @@ from starlette.exceptions import HTTPException
 
 from experiment_runner.competition.records.replay import made_for
 from experiment_runner.executors.recording import run_of
-from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.view.season import replays
 from experiment_runner.view.season.replays import Replays, replayed

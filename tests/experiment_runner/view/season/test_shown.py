@@ -14,18 +14,12 @@ import pytest
 
 from experiment_runner.competition.board.standings import Forfeit
 from experiment_runner.competition.records.journal import ANNOUNCE, EXCLUDE, Act
-from experiment_runner.competition.season.board import (
-    ORGANISER,
-    PUBLIC,
-    AttemptRow,
-    EntrantRow,
-    SeasonBoard,
-)
+from experiment_runner.competition.season.board import ORGANISER, PUBLIC, AttemptRow, EntrantRow, SeasonBoard
 from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import Competition, Season, Task
-from experiment_runner.view.reader import as_json
 from experiment_runner.view.season.feed import feed_of
 from experiment_runner.view.season.shown import board_as_json, entrant_as_json, rules_of
+from experiment_runner.view.stream import as_json
 
 SEASON = Season(datetime(2026, 11, 1, tzinfo=UTC), datetime(2026, 12, 1, tzinfo=UTC))
 NOW = datetime(2026, 11, 3, 12, tzinfo=UTC)

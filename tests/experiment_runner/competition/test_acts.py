@@ -1,0 +1,189 @@
+"""Acts of the organiser while a competition is held at once: real matches, turn by turn."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiment_runner.cli.compete_serve import organise
+from experiment_runner.competition.board.standings import standings
+from experiment_runner.competition.course import course_of
+from experiment_runner.competition.organiser import Held, open_competition
+from experiment_runner.competition.season.acts import addition
+from experiment_runner.competition.season.control import Door, ask
+from experiment_runner.competition.season.service import answering
+from experiment_runner.competition.settings import parse_competition
+from experiment_runner.executors.dispatcher import Dispatcher
+from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.store.results import Results
+from glue.errors import ExperimentError
+from tests.experiment_runner.competition.season.inside import SECRET, Executor
+
+FILE = """\
+name = "spring"
+seed_env = "SECRET"
+trials = 2
+[tasks.mines]
+env = "mines"
+options = { random_start = true }
+steps = 20
+[entrants.alice]
+command = ["true"]
+[entrants.bob]
+command = ["true"]
+"""
+
+
+@dataclass
+class Run:
+    """A run of which a test takes each turn."""
+
+    folder: Path
+    text: str = FILE
+    executor: Executor = field(default_factory=Executor)
+    stack: ExitStack = field(default_factory=ExitStack)
+
+    def __post_init__(self) -> None:
+        self.directory = self.folder / "run"
+        self.start()
+
+    def start(self) -> None:
+        competition = parse_competition(self.text, self.folder / "spring.toml")
+        store = self.stack.enter_context(open_competition(self.directory, self.text, competition, SECRET))
+        self.said: list[str] = []
+        self.held = self.stack.enter_context(Held(store, competition, SECRET, self.said.append, None))
+        self.visit = answering(self.stack.enter_context(Door(self.directory)))
+        interrupts = self.stack.enter_context(Interrupts())
+        self.dispatcher = Dispatcher(self.executor, self.held, interrupts)
+        self.held.begin(self.dispatcher)
+
+    def restart(self) -> None:
+        self.stack.close()
+        self.start()
+
+    def turns(self) -> bool:
+        """Play what can be played; return whether anything waits or plays."""
+        for _ in range(20):
+            self.dispatcher.turn(0)
+        return self.dispatcher.turn(0)
+
+    def act(self, kind: str, **wish: Any) -> None:
+        """Carry out an act as its command does."""
+        failed: list[ExperimentError] = []
+
+        def command() -> None:
+            try:
+                organise(self.directory, kind, why="because", **wish)
+            except ExperimentError as error:
+                failed.append(error)
+
+        thread = threading.Thread(target=command)
+        thread.start()
+        while thread.is_alive():
+            self.visit(self.held, 0.01)
+        if failed:
+            raise failed[0]
+
+    def counts(self) -> dict[str, int]:
+        """Return how many of the trials that count are over, for each entrant on the board."""
+        with Results.open(self.directory) as results:
+            over = results.outcomes()
+            return {
+                one.name: sum(
+                    trial in over
+                    for trial in self.held.course.counting.values()
+                    if trial.parts[0] == one.name
+                )
+                for one in standings(results, course_of(self.directory)).entrants
+                if one.name not in self.held.course.excluded
+            }
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[Run]:
+    made = Run(tmp_path)
+    with made.stack:
+        yield made
+
+
+def test_who_is_excluded_while_it_plays_is_ended_at_once(run: Run) -> None:
+    run.executor.agents["alice"] = None  # plays for ever
+    assert run.turns()
+    run.act("exclude", subject="alice")
+    assert not run.executor.jobs
+    assert not run.turns()
+    assert run.counts() == {"bob": 2}
+    del run.executor.agents["alice"]
+    run.act("readmit", subject="alice")
+    assert not run.turns()
+    assert run.counts() == {"alice": 2, "bob": 2}
+
+
+def test_what_is_played_again_is_played_at_once_and_counts(run: Run) -> None:
+    with pytest.raises(ExperimentError, match="no trial of alice is over"):
+        run.act("rerun", subject="alice")
+    run.turns()
+    run.act("rerun", subject="bob/mines/1")
+    run.turns()
+    run.act("rerun", subject="alice")
+    assert not run.turns()
+    assert run.executor.played[4:] == ["bob/mines/2", "alice/mines/2", "alice/mines/3"]
+    assert run.counts() == {"alice": 2, "bob": 2}
+
+
+def test_who_is_added_plays_the_same_levels(run: Run) -> None:
+    run.executor.agents["bob"] = None
+    run.turns()
+    late = run.folder / "late.toml"
+    late.write_text(FILE + '[entrants.carol]\ncommand = ["true"]\n')
+    run.act("add", **addition(run.held.course, late, SECRET))
+    del run.executor.agents["bob"]
+    run.turns()
+    with Results.open(run.directory) as results:
+        specs = {str(record.spec.id): record.spec for record in results.trials()}
+    assert specs["carol/mines/1"].environment == specs["bob/mines/1"].environment
+    assert run.counts() == {"alice": 2, "bob": 0, "carol": 2}
+    run.text = late.read_text()
+    run.restart()
+    assert not run.turns()
+    assert run.counts() == {"alice": 2, "bob": 2, "carol": 2}
+
+
+def test_what_is_paused_starts_when_it_is_resumed_also_after_a_restart(run: Run) -> None:
+    run.act("pause", subject="bob")
+    assert run.turns()
+    assert run.counts() == {"alice": 2, "bob": 0}
+    run.act("pause")
+    run.act("resume", subject="bob")
+    run.restart()
+    assert "* is paused: because" in run.said[0]
+    assert run.turns()
+    assert run.counts()["bob"] == 0
+    run.act("resume")
+    assert not run.turns()
+    assert run.counts()["bob"] == 2
+    with pytest.raises(ExperimentError, match="the run is not paused"):
+        run.act("resume")
+
+
+def test_what_a_run_does_not_have_is_refused_by_name(run: Run) -> None:
+    with pytest.raises(
+        ExperimentError, match=r"grant is an act of a season.*rerun has an entrant play again"
+    ):
+        run.act("grant", subject="bob", number=1)
+    with pytest.raises(ExperimentError, match="there is no entrant carol"):
+        run.act("pause", subject="carol")
+    with pytest.raises(ExperimentError, match="there is no entrant carol"):
+        run.act("exclude", subject="carol")
+    replies: list[Any] = []
+    thread = threading.Thread(target=lambda: replies.append(ask(run.directory, {"do": "status"})))
+    thread.start()
+    while thread.is_alive():
+        run.visit(run.held, 0.01)
+    assert (replies[0]["ok"], replies[0]["error"]) == (False, "the season is over, and its final is played")
