@@ -233,6 +233,7 @@ def play_timed(glue: Experiment, block: Block, bulk: int, beside: bool, pause: P
             if step.terminal:
                 break
     given = float(glue.rl_agent_message("rewards"))
+    glue.rl_start()  # raises PeerLost if the agent was replaced after the last step, and another has answered
     glue.rl_cleanup()
     again.env_cleanup()
     return "" if math.isclose(given, total) else f"the agent was given {given} of {total}"
