@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final, TypeVar
 
 from glue.system import clock
@@ -39,6 +40,8 @@ _MAX_REST: Final = 10.0
 _MAX_MISSES: Final = 8
 """Maximum of n, where after n spins in a row without success the next 2**n waits do not spin."""
 
+_LOAD: Final = Path("/proc/loadavg")
+
 _CHECKED: Final = 64
 """Number of waits for which it is assumed that cores are free, or are not."""
 
@@ -48,12 +51,11 @@ T = TypeVar("T")
 def cores_are_free() -> bool:
     """Return whether all programs that want to run now fit on the cores that this process may use.
 
-    Where the system does not tell, return False.
+    Where the system does not tell, as in a container that hides /proc/loadavg, return False.
     """
     try:
-        with open("/proc/loadavg") as file:
-            running = int(file.read().split()[3].partition("/")[0])
-    except OSError:
+        running = int(_LOAD.read_text().split()[3].partition("/")[0])
+    except (OSError, LookupError, ValueError):
         return False
     return running <= len(os.sched_getaffinity(0))
 

@@ -71,3 +71,14 @@ def test_cores_are_free_if_all_programs_that_want_to_run_have_one(monkeypatch: p
     assert cores_are_free() is Path("/proc/loadavg").exists()
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: (), raising=False)
     assert not cores_are_free()
+
+
+@pytest.mark.parametrize("text", ["", "0.10 0.20 0.30\n", "0.10 0.20 0.30 many/200 7\n", None])
+def test_where_the_load_is_hidden_no_core_is_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | None
+) -> None:
+    file = tmp_path / "loadavg"
+    if text is not None:
+        file.write_text(text)
+    monkeypatch.setattr(spinning, "_LOAD", file)
+    assert not cores_are_free()
