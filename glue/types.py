@@ -204,10 +204,16 @@ class Observation(AbstractType):
             `MAX_MASK_BITS`; an extra is of another type, or they exceed a limit.
     """
 
-    __slots__ = ()
+    __slots__ = ("_mask_values",)
+
+    _mask_values: int
+    """Number of truth values of the mask; only set where the observation was made of one."""
 
     def _beside(self, mask: Mask | None, extras: Mapping[str, GivenExtra] | None) -> tuple[int, bytes]:
-        bits = b"" if mask is None else _pack_mask(mask)
+        bits = b""
+        if mask is not None:
+            bits = _pack_mask(mask)
+            self._mask_values = len(mask)
         named = pack_extras(extras) if extras else b""
         return len(bits) | len(named) << 16, bits + named
 

@@ -331,7 +331,7 @@ class Game:
             self._forfeit(f"{self._options.illegal} illegal choices in a row, the last because {why}")
         answer = self.view()
         text = f"Illegal: {why}. Nothing was done, and the current turn is {self.turn}. "
-        text += f"{left} more illegal choices in a row forfeit the episode."
+        text += f"After {left} more in a row the episode is forfeit."
         self._answer = answer._replace(text=text if left > 0 else answer.text, error=True)
 
     def _forfeit(self, why: str) -> None:

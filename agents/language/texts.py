@@ -160,7 +160,8 @@ class Texts:
         yield f"A choice is one action, or up to {self._most} in a row; NAME*3 is an action three times."
         if self._sizes:
             yield "Not every action is legal in every turn; the answer to an illegal one says which are."
-        yield f"Legal actions are {'' if listed else 'not '}listed each time. Time waits as you choose."
+        yield f"Legal actions are {'' if listed else 'not '}listed each time."
+        yield "The game waits while you choose, unless it goes by a clock; where time is limited, you see it."
 
 
 def _enumerated(space: Space) -> dict[str, Action]:

@@ -194,6 +194,18 @@ def write_picture(level: state.LevelMap) -> str:
     return "\n".join([*picture, *([""] if added else []), *added]) + "\n"
 
 
+def _thin(ground: Any) -> Any:
+    """Return which cells of ground belong to no square of four: nobody could stand on them in the simulator.
+
+    Ground gets its look by such squares, and a tile without that look stops nothing. Beyond its edges a level
+    goes on as it is there.
+    """
+    across = np.pad(ground, 1, "edge")
+    across = across[1:] & across[:-1]
+    squares = across[:, 1:] & across[:, :-1]
+    return ground & ~(squares[1:, 1:] | squares[1:, :-1] | squares[:-1, 1:] | squares[:-1, :-1])
+
+
 class _Reader:
     """Reads one picture; every error names the place."""
 
@@ -236,6 +248,7 @@ class _Reader:
             most = f"at most {_MOST_MONSTERS} monsters in {_CROWD} columns"
             raise self._wrong(len(self._rows) - 1, last, f"expected {most}, not {crowds.max()}")
         goal = self._goal or (self._columns - 1, state.ROWS - 1)
+        self._tiles[_thin(self._tiles == tile.GROUND)] = tile.STAIR
         cells = self._tiles.tobytes(), self._spawns.tobytes()
         return Picture(self._sha256, level_type, self._columns, goal, *cells)
 

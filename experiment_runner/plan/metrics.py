@@ -136,8 +136,9 @@ def check_extras(keys: Collection[str], labels: Iterable[str]) -> None:
             other = meant.get(extra_of(key, label))
             meant[extra_of(key, label)] = key
             if other is not None:
+                of_label = f" of {label}" if label else ""
                 raise SettingError(
-                    f"{other} and {key} are the same extra of {label}, and one number is recorded of each: "
+                    f"{other} and {key} are the same extra{of_label}, and one number is recorded of each: "
                     "leave one out",
                     "extras",
                 )

@@ -28,7 +28,7 @@ from glue.console import did_you_mean
 from glue.errors import ConfigError
 from glue.options import Value, parameters
 from glue.pace import REPEAT, Pace
-from glue.plugins.loading import file_in, located
+from glue.plugins.loading import file_in, located, short_name
 
 ROLES: Final = ("environments", "agents")
 
@@ -401,7 +401,7 @@ def _check_sweep(sweep: RoleSweep, factory: type, where: Sequence[str]) -> RoleS
 
 
 def _default_label(name: str) -> str:
-    return label_of(name.rpartition(":")[2])
+    return label_of(short_name(name))
 
 
 def _as_tuple(value: Value | tuple[Value, ...]) -> tuple[Value, ...]:

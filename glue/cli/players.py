@@ -28,7 +28,7 @@ from glue.console import LOG, errors_only
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.options import Parameter, Value, parameters
-from glue.plugins.loading import construct, find, names, summaries, without_seed
+from glue.plugins.loading import construct, find, names, short_name, summaries, without_seed
 from glue.wire.messages import Role
 
 _LABEL_LETTERS: Final = 100
@@ -262,7 +262,7 @@ def _help(docstring: str) -> str:
 
 def _label(name: str, options: Mapping[str, Value]) -> str:
     """Return the name of a player in lines and in results, as in `sarsa step_size=0.2`."""
-    words = [name.rpartition(":")[2] or name, *(f"{option}={value}" for option, value in options.items())]
+    words = [short_name(name) or name, *(f"{option}={value}" for option, value in options.items())]
     return textwrap.shorten(" ".join(words), _LABEL_LETTERS, placeholder="...")
 
 

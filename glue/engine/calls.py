@@ -306,7 +306,7 @@ class _Beside:
         if offers(environment, BatchEnvironment):
             self._offered = frozenset()  # the observations of many games have no place for them
         self._sizes: tuple[int, ...] | None = None
-        self._right: set[bytes] = set()  # masks that fit the task spec
+        self._right: set[tuple[bytes, int | None]] = set()  # masks that fit, and their numbers of values
         self._parsed = True
 
     def init(self, task_spec: str, stated: bool) -> bool:
@@ -326,7 +326,8 @@ class _Beside:
         body = observation._body
         mask, extras = beside_sizes(body)
         packed = body[len(body) - extras - mask : len(body) - extras]
-        if packed in self._right and (not extras or EXTRAS in self._offered):
+        given = getattr(observation, "_mask_values", None) if packed else None  # packed, it is rounded up
+        if (packed, given) in self._right and (not extras or EXTRAS in self._offered):
             return  # the usual case
         unoffered = beside_without(body, self._offered)
         if unoffered:
@@ -337,13 +338,15 @@ class _Beside:
             why = "with a mask; its task spec lacks the word masks in EXTRA, or bounds of an int of an action"
         else:
             fault = mask_fault(packed, self._sizes or ())
+            if given is not None and given < (values := sum(self._sizes or ())):
+                fault = f"it is of {given} values, and the ints of an action have {values}"
             why = fault and f"whose mask does not fit the task spec: {fault}"
         if why:
             raise PeerFailed(f"{method} of {self._name} returned an observation {why}")
         if len(self._right) == _MAX_REMEMBERED:
             self._right.clear()
         if len(packed) <= _LIGHT:
-            self._right.add(packed)
+            self._right.add((packed, given))
 
 
 _COUNTS: Final = struct.Struct("<3I")

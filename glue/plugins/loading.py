@@ -210,6 +210,11 @@ def find(role: Role, name: str) -> type:
     return _class_of(module, attribute, source)
 
 
+def short_name(name: str) -> str:
+    """Return the last part of a name: its class, or of `adapter:http://host:port` host and port."""
+    return name.rpartition("://" if "://" in name else ":")[2]
+
+
 def file_in(name: str) -> str:
     """Return the file of a name like `path/to/file.py:Class` or `adapter:path/to/file.py:Class`, or ""."""
     source = name.rpartition(":")[0]

@@ -279,6 +279,7 @@ void check_legal() {
   expect(mask_fault({0, 1, 0, 0, 1, 1, 0, 0}, sizes).empty() && mask_fault({}, sizes).empty(), "masks that fit");
   expect(mask_fault({0, 1, 0, 0, 0, 1, 0, 0}, sizes) == "no value of int 1 is legal", "an empty int");
   expect(!mask_fault({1, 1, 1, 1, 1, 1, 1, 1, 1}, sizes).empty(), "a long mask");
+  expect(mask_fault({1, 1, 1, 1, 1, 1, 1}, sizes) == "it is of 7 values, and the ints of an action have 8", "a short mask");
   expect(!mask_fault({1, 0, 1, 0, 1}, {2, 2}).empty() && mask_fault({0}, {}).empty(), "one value more");
 }
 

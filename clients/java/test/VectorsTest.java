@@ -136,6 +136,7 @@ final class VectorsTest {
         masks.checked("step", runs.withMask(false, true, false, false, true, true, false, false));
         doesNotSend("an empty int", () -> masks.checked("step", runs.withMask(false, true, false, false, false, true, true, false)));
         doesNotSend("a long mask", () -> masks.checked("step", runs.withMask(true, true, true, true, true, true, true, true, true)));
+        doesNotSend("a short mask", () -> masks.checked("step", runs.withMask(true, true, true, true, true, true, true)));
         doesNotSend("one value more", () -> new Masks("ACTIONS INTS (0 1) (0 1) REWARDS")
                 .checked("step", runs.withMask(true, false, true, false, true)));
         for (String unknown : new String[] {"ACTIONS INTS (0 UNSPEC) REWARDS", "a mirror", "ACTIONS REWARDS EXTRA INTS (0 1)"}) {

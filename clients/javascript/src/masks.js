@@ -28,7 +28,7 @@ export function maskFault(mask, sizes) {
   if (mask.length === 0 || sizes.length === 0) return "";
   const values = sizes.reduce((sum, size) => sum + size);
   const legal = Array.from(mask, Boolean);
-  if (Math.ceil(legal.length / 8) !== Math.ceil(values / 8) || legal.includes(true, values)) {
+  if (legal.length < values || legal.length > 8 * Math.ceil(values / 8) || legal.includes(true, values)) {
     return `it is of ${legal.length} values, and the ints of an action have ${values}`;
   }
   let at = 0;

@@ -178,5 +178,6 @@ test("finds ints without a legal value", () => {
   assert.deepEqual([fault("01001100", sizes), fault("", sizes), fault("0", [])], ["", "", ""]);
   assert.equal(fault("01000110", sizes), "no value of int 1 is legal");
   assert.match(fault("111111111", sizes), /9 values, and the ints of an action have 8/);
+  assert.match(fault("1111111", sizes), /7 values/);
   assert.match(fault("10101", [2, 2]), /5 values/);
 });

@@ -105,7 +105,7 @@ def test_illegal_choices_are_counted_and_too_many_in_a_row_forfeit() -> None:
         answer = table.act(turn, choice)
         assert answer.error
         assert f"current turn is {turn + 1}" in answer.text
-        assert f"{left} more illegal" in answer.text
+        assert f"After {left} more in a row" in answer.text
         assert table.act(turn, choice) is answer  # a repeated call counts once
     assert table.act(3, "right", until="never").error
     assert table.game.look().data["forfeit"]
@@ -113,7 +113,7 @@ def test_illegal_choices_are_counted_and_too_many_in_a_row_forfeit() -> None:
     table.start()
     for turn, choice, error in ((5, "fly", True), (6, "fly", True), (7, "right", False), (8, "fly", True)):
         assert table.act(turn, choice).error is error
-    assert "2 more illegal" in table.answer(8).text  # not in a row
+    assert "After 2 more in a row" in table.answer(8).text  # not in a row
 
 
 def test_an_episode_that_is_forfeit_is_played_to_its_end_by_standing_still(table: Table) -> None:

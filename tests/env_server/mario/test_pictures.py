@@ -117,6 +117,20 @@ XXXXXXXXXXXXXXXXXXXX
 """
 
 
+@pytest.mark.parametrize("thin", [["-" * 12 + "X" + "-" * 7] * 13, ["-" * 20] * 7 + ["----XXXXXX----------"]])
+def test_ground_stops_mario_however_thin_it_is(thin: list[str], file: Path) -> None:
+    """A wall of one column up to the top; and a floor of one row in the air, seen with all of the level."""
+    level_of(file, "\n".join([*thin, *["-" * 20] * (13 - len(thin)), GROUND, GROUND]) + "\n")
+    mario = InfiniteMario(level=str(file))
+    mario.env_init()
+    shown = mario.env_start().chars.decode().splitlines()
+    picture = file.read_text().splitlines()
+    walls = [(row, column) for row in range(13) for column in range(20) if picture[row][column] == "X"]
+    assert {shown[row][column] for row, column in walls} == {"7"}
+    if len(thin) == 13:
+        assert max(mario.env_step(RUN).observation.doubles[0] for _ in range(30)) < 12
+
+
 def test_what_the_characters_stand_for(file: Path) -> None:
     """Golden codes: of the framework's notation, then of the corpus's."""
     level = level_of(file, FRAMEWORK[1:])

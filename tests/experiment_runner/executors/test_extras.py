@@ -220,7 +220,7 @@ def test_one_number_is_recorded_of_an_extra(environments: str, key: str, label: 
     with pytest.raises(SettingError, match=f"{key} are the same extra of {label}"):
         parse_plan(plan)
     command = ["--env=mines", "--agent=random", "--episodes=1", "--metric=score=min", "--metric=score=max"]
-    with pytest.raises(ConfigError, match="one number is recorded"):
+    with pytest.raises(ConfigError, match="score and score are the same extra, and one number is recorded"):
         CliRunner().invoke(experiment, command, standalone_mode=False, catch_exceptions=False)
 
 

@@ -92,6 +92,7 @@ def test_plan_of_an_older_run_keeps_the_derivation_of_its_seeds() -> None:
     [
         ("mine/my_agent.py:MyAgent", "MyAgent"),
         ("gymnasium:env_server.gym:glue/InfiniteMario-v0", "glue-InfiniteMario-v0"),
+        ("openenv:http://127.0.0.1:8000", "127.0.0.1-8000"),
         ("ALE/Pong-v5", "ALE-Pong-v5"),
         ("a b (c)", "a-b-c"),
         ("größe", "größe"),

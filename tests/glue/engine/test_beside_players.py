@@ -119,6 +119,7 @@ def test_capabilities_are_attributes_of_class_or_object() -> None:
             "5 values fill 1 byte of mask, the spare bits zero, not 0xff01",
         ),
         (Observation([7], mask=[False] * 3 + [True] * 2), SPEC, "no value of int 0 is legal"),
+        (Observation([7], mask=[True] * 4), SPEC, "it is of 4 values, and the ints of an action have 5"),
         (FULL, SPEC.replace("EXTRA masks", "EXTRA"), "the word masks in EXTRA"),
         (FULL, SPEC.replace("(0 2)", "(0 POSINF)"), "bounds of an int"),
         (Observation([7, 8], mask=MASK), SPEC, "must return 1 int.*2 ints"),
@@ -129,6 +130,14 @@ def test_a_wrong_mask_is_reported_where_it_was_made(observation: Observation, sp
         experiment.rl_init()
         with pytest.raises(PeerFailed, match=f"env_start of Showing.*({words})"):
             experiment.rl_start()
+
+
+def test_a_mask_that_was_received_may_be_passed_on() -> None:
+    assert FULL.mask is not None
+    assert len(FULL.mask) == 8
+    with local(Seeing(True), Showing(Observation([7], mask=FULL.mask), SPEC)) as experiment:
+        experiment.rl_init()
+        assert experiment.rl_start().observation == FULL.without()
 
 
 @pytest.mark.parametrize(("attribute", "what"), [("env_masks", "mask"), ("env_extras", "extras")])

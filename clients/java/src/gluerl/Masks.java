@@ -34,15 +34,14 @@ final class Masks {
 
     /** Returns an observation; throws an exception if its mask does not fit, or leaves an int no legal value. */
     Observation checked(String method, Observation observation) {
-        int bytes = observation.maskSize();
-        if (bytes == 0 || sizes.length == 0) {
+        int given = observation.maskValues();
+        if (given == 0 || sizes.length == 0) {
             return observation;
         }
         long values = Arrays.stream(sizes).sum();
-        boolean more = IntStream.iterate((int) Math.min(values, 8L * bytes), i -> i < 8 * bytes, i -> i + 1)
-                .anyMatch(observation::legal);
-        if (bytes != (values + 7) / 8 || more) {
-            throw unfit(method, "it has " + bytes + " bytes, and the ints of an action have " + values + " values");
+        boolean more = IntStream.range((int) Math.min(values, given), given).anyMatch(observation::legal);
+        if (given < values || given > (values + 7) / 8 * 8 || more) {
+            throw unfit(method, "it is of " + given + " values, and the ints of an action have " + values);
         }
         int at = 0;
         for (int i = 0; i < sizes.length; i++) {

@@ -11,6 +11,7 @@ public final class Observation extends AbstractType {
     private static final byte[] NO_MASK = {};
 
     private final byte[] mask;
+    private final int maskValues; // as many as were given, or as the bytes of a mask that was received have bits
     private final Map<String, Object> extras;
 
     /**
@@ -32,12 +33,14 @@ public final class Observation extends AbstractType {
     public Observation(int[] ints, double[] doubles, byte[] chars) {
         super(ints, doubles, chars);
         mask = NO_MASK;
+        maskValues = 0;
         extras = Map.of();
     }
 
-    private Observation(Observation runs, byte[] mask, Map<String, Object> extras) {
+    private Observation(Observation runs, byte[] mask, int maskValues, Map<String, Object> extras) {
         super(runs.ints(), runs.doubles(), runs.chars());
         this.mask = mask;
+        this.maskValues = maskValues;
         this.extras = extras;
     }
 
@@ -49,6 +52,7 @@ public final class Observation extends AbstractType {
     private Observation(ByteBuffer body, int sizes) {
         super(body);
         mask = new byte[sizes & 0xffff];
+        maskValues = 8 * mask.length;
         byte[] packed = new byte[sizes >>> 16];
         body.get(mask).get(packed);
         extras = packed.length == 0 ? Map.of() : Extras.unpack(packed);
@@ -79,9 +83,9 @@ public final class Observation extends AbstractType {
         return all;
     }
 
-    /** Returns the size of the mask in bytes. */
-    int maskSize() {
-        return mask.length;
+    /** Returns the number of values of the mask, 0 without one. */
+    int maskValues() {
+        return maskValues;
     }
 
     /**
@@ -109,7 +113,7 @@ public final class Observation extends AbstractType {
         for (int i = 0; i < legal.length; i++) {
             packed[i / 8] |= (byte) (legal[i] ? 1 << i % 8 : 0);
         }
-        return new Observation(this, packed, extras);
+        return new Observation(this, packed, legal.length, extras);
     }
 
     /**
@@ -120,7 +124,7 @@ public final class Observation extends AbstractType {
      * @return an observation that shares the arrays of this one
      */
     public Observation withExtras(Map<String, ?> values) {
-        return new Observation(this, mask, values.isEmpty() ? Map.of() : Extras.unpack(Extras.pack(values)));
+        return new Observation(this, mask, maskValues, values.isEmpty() ? Map.of() : Extras.unpack(Extras.pack(values)));
     }
 
     @Override

@@ -42,13 +42,14 @@ inline std::string mask_fault(const std::vector<bool>& mask, const std::vector<s
   if (mask.empty() || sizes.empty()) return {};
   const std::size_t values = std::accumulate(sizes.begin(), sizes.end(), std::size_t{0});
   const auto beyond = mask.begin() + static_cast<std::ptrdiff_t>(std::min(values, mask.size()));
-  if ((mask.size() + 7) / 8 != (values + 7) / 8 || std::find(beyond, mask.end(), true) != mask.end()) {
+  const bool fits = mask.size() >= values && mask.size() <= (values + 7) / 8 * 8;
+  if (!fits || std::find(beyond, mask.end(), true) != mask.end()) {
     return "it is of " + std::to_string(mask.size()) + " values, and the ints of an action have " + std::to_string(values);
   }
   std::size_t at = 0;
   for (std::size_t i = 0; i < sizes.size(); ++i) {
     bool legal = false;
-    for (const std::size_t end = at + sizes[i]; at < end; ++at) legal |= at < mask.size() && mask[at];
+    for (const std::size_t end = at + sizes[i]; at < end; ++at) legal |= mask[at];
     if (!legal) return "no value of int " + std::to_string(i) + " is legal";
   }
   return {};
