@@ -18,7 +18,7 @@ import pytest
 
 from tests.experiment_runner.view.pages import Page
 
-_SECONDS = 40.0
+_SECONDS = 200.0
 _TABLES = """
 return Object.fromEntries([...document.querySelectorAll("table")].map((table) => [
   table.caption?.textContent ?? "",
