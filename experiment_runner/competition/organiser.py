@@ -337,7 +337,7 @@ class Held(Matches):
         self, store: Store, competition: Competition, secret: bytes, say: Say, gate: Gate | None
     ) -> None:
         super().__init__(store, say)
-        self.course = course_of(store.directory)
+        self.course: Course = course_of(store.directory)
         self._competition = competition
         self._secret = secret
         self._gate = gate

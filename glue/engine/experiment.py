@@ -51,10 +51,10 @@ class Experiment(Closing):
         return None
 
     def late_actions(self) -> int | None:
-        """Return the number of late actions since the last start; always 0 without a rate (see `glue.pace`).
+        """Return the number of late actions since the last start; see `glue.pace`.
 
-        The action that a start or a step has just returned is late if this number has grown. None if it is
-        not known here, as at a hub that waits for agents.
+        The action that a start or a step has just returned is late if this number has grown. It is None if
+        the environment waits for its agent, or the hub does not tell.
         """
         return None
 

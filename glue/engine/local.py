@@ -86,8 +86,8 @@ class LocalExperiment(Experiment):
     def steps_under_way(self) -> int:
         return self._engine.num_steps
 
-    def late_actions(self) -> int:
-        return 0 if self._paced is None else self._paced.pacer.num_late
+    def late_actions(self) -> int | None:
+        return None if self._paced is None else self._paced.pacer.num_late
 
     def rl_init(self, seed: int | None = None) -> str:
         task_spec = super().rl_init(seed)

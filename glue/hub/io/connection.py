@@ -74,7 +74,7 @@ class Connection:
         self._unsent: deque[bytes | bytearray] = deque()
         self._sent = 0  # number of bytes of the first unsent piece that have been sent
         self.unsent: int = 0
-        self.reading = True
+        self.reading: bool = True
         self._later = False
         self._queued = False
         self._finishing = False

@@ -110,6 +110,14 @@ def test_an_agent_is_told_nothing_where_the_environment_waits() -> None:
         assert not [call for call in calls if call.startswith("agent_pace")]
 
 
+def test_where_the_environment_waits_no_number_of_late_actions_is_known() -> None:
+    """As over a hub, so that results are the same however the players are started."""
+    with local(RandomAgent(), MinesEnvironment()) as glue:
+        glue.rl_init()
+        glue.rl_episode(3)
+        assert glue.late_actions() is None
+
+
 def test_a_message_waits_for_the_answer_of_a_late_agent() -> None:
     glue, calls = begun(Pace(rate=1.0), 0.0, 2.5, length=9)
     glue.rl_start()
