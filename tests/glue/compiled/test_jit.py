@@ -100,7 +100,8 @@ def test_compiling_is_said_once_for_each_state_of_the_code(program: Path) -> Non
     assert before == "compiling the rules, this once ..."
     assert re.fullmatch(r"compiled the rules in \d+ s", after)
     assert run(program) == ""
-    assert "compiling" in run(program, factor=3)  # a rule in another package has changed
+    # A rule in another package has changed. Within a second Python notices only another size of a module.
+    assert "compiling" in run(program, factor=10)
 
 
 @pytest.mark.stage("proof")
