@@ -95,17 +95,20 @@ def head() -> str:
         "quiet. The fastest way to have a program of your own as the agent is an environment inside the "
         "experiment's process, `glue-experiment --inside env`: one round trip a step instead of two.\n\n"
         f"Machine: {_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}; "
-        f"Python {platform.python_version()}, built {_with_optimisation()}, pyzmq {zmq.__version__} (libzmq "
+        f"Python {platform.python_version()}, {_configured()}, pyzmq {zmq.__version__} (libzmq "
         f"{zmq.zmq_version()}), msgpack {'.'.join(map(str, msgpack.version))}, NumPy {np.__version__}, "
         f"numba {numba.__version__}. [Gymnasium](gymnasium.md) and [Soar](soar.md) have numbers of their own "
         "(`python -m benchmarks gym`, `soar`).\n\n"
     )
 
 
-def _with_optimisation() -> str:
-    """Return how Python was built: without optimisation it makes 0.6 to 0.75 of the steps."""
+def _configured() -> str:
+    """Return how Python was built: without optimisation it makes 0.6 to 0.75 of the steps.
+
+    Debian optimises its own by other means, which do not stand there.
+    """
     arguments = sysconfig.get_config_var("CONFIG_ARGS") or ""
-    return f"with{'' if '--enable-optimizations' in arguments else 'out'} optimisation"
+    return f"configured with{'' if '--enable-optimizations' in arguments else 'out'} --enable-optimizations"
 
 
 def _busy_seconds() -> float:
