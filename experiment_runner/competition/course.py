@@ -78,24 +78,22 @@ class Course:
     @property
     def excluded(self) -> Mapping[str, str]:
         """The reason for each exclusion, by the entrant's name."""
-        found: dict[str, str] = {}
-        for one in self.acts:
-            if one.act == journal.EXCLUDE:
-                found[one.subject] = one.reason
-            elif one.act == journal.READMIT:
-                found.pop(one.subject, None)
-        return found
+        return self._in_force(journal.EXCLUDE, journal.READMIT)
 
     @property
     def paused(self) -> Mapping[str, str]:
         """The reason why no trial of an entrant, or of `EVERYBODY`, is started, outside of a season."""
+        return self._in_force(journal.PAUSE, journal.RESUME, journal.CLOSE)
+
+    def _in_force(self, begins: str, ends: str, ends_all: str | None = None) -> Mapping[str, str]:
+        """Return the reason of each act of the kind `begins` that none since has ended, by its subject."""
         found: dict[str, str] = {}
         for one in self.acts:
-            if one.act == journal.PAUSE:
+            if one.act == begins:
                 found[one.subject] = one.reason
-            elif one.act == journal.RESUME:
+            elif one.act == ends:
                 found.pop(one.subject, None)
-            elif one.act == journal.CLOSE:
+            elif one.act == ends_all:
                 found.clear()
         return found
 
