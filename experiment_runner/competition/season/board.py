@@ -191,7 +191,7 @@ def season_board(results: Results, course: Course, now: datetime, viewer: str = 
     Raises:
         ExperimentError: the run cannot be read, or the competition has no season.
     """
-    return Boards(course, results.outcomes(), results.verdicts(), results.late_actions(), now).seen_by(viewer)
+    return Boards.of(results, course, now).seen_by(viewer)
 
 
 class Boards:
@@ -221,6 +221,15 @@ class Boards:
             for one in state.attempts("over")
         }
         self._facts = _Facts(course, state, played, late, now)
+
+    @classmethod
+    def of(cls, results: Results, course: Course, now: datetime) -> Boards:
+        """Return the boards of a run; it is read now, and not kept.
+
+        Raises:
+            ExperimentError: the run cannot be read, or the competition has no season.
+        """
+        return cls(course, results.outcomes(), results.verdicts(), results.late_actions(), now)
 
     def seen_by(self, viewer: str) -> SeasonBoard:
         """Return the board for `PUBLIC`, for `ORGANISER` or for the entrant of this name."""

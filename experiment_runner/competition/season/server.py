@@ -358,9 +358,7 @@ class Server(Matches):
         clock = self._clock()
         if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
             self._boards, self._boards_of = None, len(self._acts)
-            of = self._store
-            trials = of.outcomes(), of.verdicts(), of.late_actions()
-            self._boards = Boards(self._course, *trials, self._now())
+            self._boards = Boards.of(self._store, self._course, self._now())
             self._boards.seen_by(ANYBODY)
             self._boards_until = self._clock() + 4 * (self._clock() - clock)
         return self._boards

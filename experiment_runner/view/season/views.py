@@ -173,8 +173,7 @@ class Views:
     def _read(self, signs: object) -> _Season:
         course = course_of(self.directory)
         with Results.open(self.directory) as results:
-            trials = results.outcomes(), results.verdicts(), results.late_actions()
-            boards = Boards(course, *trials, self._clock())
+            boards = Boards.of(results, course, self._clock())
         boards.seen_by(PUBLIC)  # counts as part of the time that it takes
         return _Season(signs, boards, SeasonState.of(course), course)
 
