@@ -136,7 +136,7 @@ def replay_trial(spec: TrialSpec, path: Path) -> tuple[list[Replayed], float]:
         TrajectoryError: the record is damaged.
     """
     replay, task_spec = replay_of(spec)
-    runs = (recorded_run(spec, task_spec), run_of(spec, task_spec))  # the second as of version 0.3.0
+    runs = (recorded_run(spec, task_spec), run_of(spec, task_spec))  # older records tell the path of a level
     episodes: list[Replayed] = []
     score = 0.0
     reader = TrajectoryReader(path)

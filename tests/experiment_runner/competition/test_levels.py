@@ -69,7 +69,7 @@ def test_a_level_that_was_changed_is_not_played(folder: Path) -> None:
         made_for(specs[1])  # as verification does
 
 
-@pytest.mark.parametrize("run", [recorded_run, run_of], ids=["now", "version 0.3.0"])
+@pytest.mark.parametrize("run", [recorded_run, run_of], ids=["now", "older"])
 def test_a_record_names_its_level_not_where_it_is(folder: Path, run: Callable[..., Run]) -> None:
     spec = trials_of(folder)[0]
     path = folder / "record.traj"
