@@ -28,6 +28,7 @@ from experiment_runner.store.database import reported
 from experiment_runner.store.layout import write_flushed
 from glue.errors import ConfigError, ExperimentError
 from glue.hub.config import Bind, Keys, Permit
+from glue.installed import needing
 from glue.keys.allowed import HUB
 from glue.keys.certificates import SECRET, encode, read_pair, read_public
 from glue.wire.messages import Role
@@ -151,13 +152,8 @@ def starter_for(entrant: Entrant) -> Starter:
         ConfigError: it needs a package that is not installed.
     """
     if entrant.image is not None:
-        try:
+        with needing("compete", f"entrant {entrant.name} has an image, and containers need Docker's SDK"):
             from experiment_runner.competition.containers import Containers
-        except ImportError:
-            raise ConfigError(
-                f"entrant {entrant.name} has an image, and containers need Docker's SDK: "
-                "pip install 'glue-rl[compete]'"
-            ) from None
         return Containers()
     if entrant.key is not None:
         return Outside()

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from glue.errors import ConfigError
+from glue.installed import needing
 from glue.system import chance
 
-try:
+with needing("keys", "signatures need PyNaCl"):
     from nacl.bindings import (
         crypto_core_ed25519_scalar_add,
         crypto_core_ed25519_scalar_mul,
@@ -24,8 +24,6 @@ try:
         crypto_sign_open,
     )
     from nacl.exceptions import CryptoError
-except ImportError:
-    raise ConfigError("signatures need PyNaCl: pip install 'glue-rl[keys]'") from None
 
 _PRIME: Final = 2**255 - 19
 _SIGN_BIT: Final = 0x80

@@ -32,11 +32,12 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Final, NamedTuple
 
-from glue.errors import ConfigError, RemoteProtocolError
+from glue.errors import RemoteProtocolError
+from glue.installed import needing
 from glue.system import chance
 from glue.wire.zmtp import LONG_HEAD, MORE, SHORT_HEAD, HandshakeRefused, head
 
-try:
+with needing("keys", "keys need PyNaCl"):
     from nacl._sodium import ffi, lib
     from nacl.bindings import (
         crypto_box_beforenm,
@@ -47,8 +48,6 @@ try:
         crypto_secretbox_open,
     )
     from nacl.exceptions import CryptoError
-except ImportError:
-    raise ConfigError("keys need PyNaCl: pip install 'glue-rl[keys]'") from None
 
 _KEY: Final = 32
 _ZEROS: Final = bytes(64)

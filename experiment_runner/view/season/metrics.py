@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from experiment_runner.competition.season.state import SeasonState
-from glue.errors import ConfigError
+from glue.installed import needing
 
 
 def metrics_of(state: SeasonState, status: Mapping[str, Any] | None) -> tuple[bytes, str]:
@@ -20,10 +20,8 @@ def metrics_of(state: SeasonState, status: Mapping[str, Any] | None) -> tuple[by
     Raises:
         ConfigError: prometheus_client is not installed.
     """
-    try:
+    with needing("metrics", "metrics need prometheus_client"):
         import prometheus_client as prometheus
-    except ImportError:
-        raise ConfigError("metrics need prometheus_client: pip install 'glue-rl[metrics]'") from None
 
     registry = prometheus.CollectorRegistry()
 
