@@ -582,6 +582,6 @@ class Session:
 
 
 def _pacer(pace: Pace) -> Pacer | None:
-    """Return what answers an engine at a pace; None if it waits for the agent."""
+    """Return the pacer that stands for the agent at a pace; None if the environment waits for it."""
     action = pace.action
     return Pacer(pace, Action().body, None if action is None else action.body) if pace else None

@@ -1,4 +1,4 @@
-"""What observations carry beside their numbers, by the capabilities of those who send and read them."""
+"""Masks and extras of observations, by the capabilities of those who send and read them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from glue.wire.messages import EXTRAS, MASK, Message
 
 
 def beside_without(body: bytes, capabilities: Container[str]) -> str:
-    """Return what the sender of an observation has sent without the capability for it; "" if nothing."""
+    """Return the capability that the sender of an observation lacks for a part of it; "" if none."""
     mask, extras = beside_sizes(body)
     if not mask or MASK in capabilities:
         return EXTRAS if extras and EXTRAS not in capabilities else ""

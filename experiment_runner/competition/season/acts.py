@@ -100,7 +100,7 @@ def acts_for(
 
 
 def addition(course: Course, file: Path, secret: bytes) -> Mapping[str, Any]:
-    """Return what `Organise` has of a wish to add the entrants of a file, once each can be started.
+    """Return the fields of an `Organise` that adds the entrants of a file, once each can be started.
 
     It may have to wait for a container engine, so it is not for the process that plays matches.
 

@@ -43,7 +43,7 @@ def check_gate(competition: Competition, gate: Gate | None) -> None:
 
 
 def answering(door: Door) -> Callable[[Held, float], None]:
-    """Return what carries out the acts of the organiser of a competition that is held at once."""
+    """Return the `visit` of a competition that is held at once, which carries out its organiser's acts."""
 
     def visit(held: Held, seconds: float) -> None:
         def answer(request: Request) -> Reply:
