@@ -117,6 +117,20 @@ def test_changes_of_the_rules_are_acts_and_others_are_refused_by_name() -> None:
             course.admitted(other)
 
 
+def test_pauses_of_a_season_end_with_it_and_exclusions_do_not() -> None:
+    made = Made(["ann", "ben", "cid"])
+    for name in ("ann", "ben"):
+        made.act(journal.PAUSE, name, "its image")
+        made.act(journal.EXCLUDE, name, "the rules")
+    made.act(journal.RESUME, "ben")
+    made.act(journal.READMIT, "ben")
+    assert made.course.paused == {"ann": "its image"}
+    made.act(journal.CLOSE)
+    made.act(journal.PAUSE, "cid", "its key")
+    assert made.course.paused == {"cid": "its key"}
+    assert made.course.excluded == {"ann": "the rules"}
+
+
 def test_an_attempt_has_the_levels_of_a_run_on_the_same_tasks() -> None:
     """So that an honest entrant has the same scores, to the byte."""
     made = Made(["ann"])
