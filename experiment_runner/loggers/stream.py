@@ -22,7 +22,7 @@ import msgspec
 
 from experiment_runner.loggers import LOGGERS
 from experiment_runner.store.layout import STREAMS, RunLock, check_links, lock_holder, replace_flushed
-from experiment_runner.store.records import MEASURES, EpisodeResult
+from experiment_runner.store.records import EpisodeResult, known_measures
 from experiment_runner.store.results import Results
 from experiment_runner.store.run_data import Cell, settings_of
 from glue.console import one_line
@@ -116,10 +116,8 @@ def points_of(results: Results, trial_id: str, after: int, began: float) -> list
 
 
 def _values(episode: EpisodeResult) -> dict[str, float]:
-    measures = dict(zip(MEASURES, episode[1:], strict=True))
-    return {f"episode/{name}": float(value) for name, value in measures.items()} | {
-        "episode/number": float(episode.episode)
-    }
+    values = {**known_measures(episode), "number": episode.episode}
+    return {f"episode/{name}": float(value) for name, value in values.items()}
 
 
 _TOGETHER: Final = 500

@@ -112,6 +112,12 @@ def measured(episode: int, played: EndedEpisode) -> EpisodeResult:
     return EpisodeResult._make((episode, *(measure.read(played) for measure in MEASURES.values())))
 
 
+def known_measures(result: EpisodeResult) -> dict[str, Value]:
+    """Return the measures of an episode that are known, by name; the return may be NaN."""
+    values = zip(MEASURES, result[1:], strict=True)
+    return {name: value for name, value in values if name == "return" or not math.isnan(value)}
+
+
 TUNED: Final = "tuned"
 """Kind of the event of an agent whose options were chosen by a search."""
 

@@ -30,7 +30,7 @@ import numpy.typing as npt
 from experiment_runner.plan.limits import REMOTE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.database import reported
-from experiment_runner.store.records import MEASURES, TrialRecord
+from experiment_runner.store.records import MEASURES, TrialRecord, known_measures
 from experiment_runner.store.results import Results
 from glue.console import cell
 from glue.errors import ExperimentError
@@ -140,8 +140,9 @@ def episode_table(results: Results) -> Table:
         episodes = results.episodes(spec.id)
         extras = extras_of(results, spec) if columns else {}
         for i, episode in enumerate(episodes):
-            numbers = (float(extras[name][i]) if name in extras else math.nan for name in columns)
-            yield [*episode, *(None if math.isnan(number) else number for number in numbers)]
+            numbers = [float(extras[name][i]) if name in extras else math.nan for name in columns]
+            found = [None if math.isnan(number) else number for number in numbers]
+            yield [episode.episode, *map(known_measures(episode).get, MEASURES), *found]
 
     return table_of(results, {**_EPISODE, **dict.fromkeys(columns, float)}, rows)
 

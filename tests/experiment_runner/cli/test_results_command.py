@@ -279,7 +279,7 @@ def test_unusual_returns_and_mixed_options_are_exported(tmp_path: Path) -> None:
     plan = Plan(episodes=1, agents=sweeps)
     with open_run(tmp_path / "run", plan) as store:
         for spec, value in zip(plan.expand(), [math.nan, math.inf, -math.inf, 0.1 + 0.2], strict=True):
-            store.record(spec.id, EpisodeResult(1, value, 1, True, 0.0))
+            store.record(spec.id, EpisodeResult(1, value, 1, True, 0.0, late=math.nan))
     text = call("export", tmp_path / "run", "--format", "json")
     assert [row["return"] for row in json.loads(text)] == [None, None, None, 0.1 + 0.2]
     shown = json.loads(call("show", tmp_path / "run", "--json"), parse_constant=pytest.fail)
@@ -291,6 +291,7 @@ def test_unusual_returns_and_mixed_options_are_exported(tmp_path: Path) -> None:
     table = parquet.read_table(tmp_path / "out").to_pydict()
     assert math.isnan(table["return"][0])
     assert table["return"][1:] == [math.inf, -math.inf, 0.1 + 0.2]
+    assert table["late"] == [None] * 4
     assert table["agent.x"] == [1.0, 2.5, 1.0, 2.5]
     assert table["agent.y"] == ["3", "3", "three", "three"]
 

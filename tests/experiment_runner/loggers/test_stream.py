@@ -49,7 +49,7 @@ def expected(run: Path) -> Shown:
     for row in exported(run):
         trial = str(row["trial"])
         steps[trial] += int(row["steps"])
-        for name in ("return", "steps", "terminal", "wall_time", "late"):
+        for name in ("return", "steps", "terminal", "wall_time"):
             shown[trial][f"episode/{name}"].append((steps[trial], float(row[name])))
         shown[trial]["episode/number"].append((steps[trial], float(row["episode"])))
     for row in exported(run, "--metrics"):

@@ -57,6 +57,6 @@ def test_measure_added_in_two_places_is_stored_exported_and_read(tmp_path: Path)
     )
     header, first, _, new, numbers = done.stdout.splitlines()
     assert header.startswith(f"trial,episode,{','.join(MEASURES)},reached,seed,")
-    assert first.startswith(f"{older},1,1.5,100,true,0.25,nan,nan,")
+    assert first.startswith(f"{older},1,1.5,100,true,0.25,,,")
     assert new.startswith("remote/mario/1,1,3.0,7,true,0.25,2,0.5,")
     assert numbers == "0.5 nan nan"
