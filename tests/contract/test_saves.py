@@ -87,20 +87,6 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
     return bytes(broken)
 
 
-@pytest.mark.proof
-@all_players
-def test_no_mutation_of_a_save_is_accepted(role: Role, name: str) -> None:
-    player, saved = played(role, name)
-    rng = random.Random(f"{role} {name}")
-    for _ in range(MUTATIONS):
-        broken = mutated(saved, rng)
-        if broken and broken != saved:  # earlier versions saved an empty state as no bytes
-            with pytest.raises(SaveError):
-                load(role, player, broken)
-    load(role, player, saved)
-    assert save(role, player) == saved
-
-
 NUMBERS = [
     "-1",
     "2147483648",

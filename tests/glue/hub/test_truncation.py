@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 
 import pytest
 
-from glue import CUT_OFF, Action, Agent, Environment, Observation, local
+from glue import CUT_OFF, Agent, Environment, Observation, local
 from glue.engine.engine import Engine
 from glue.engine.experiment import Experiment
 from glue.wire.messages import Kind
@@ -46,25 +46,6 @@ def test_the_agent_gets_the_last_observation_and_no_end(glue: Glue) -> None:
         assert agent.calls == [*LAST_STEPS, "agent_step 1 [3]"]
         assert (experiment.rl_num_steps(), experiment.rl_num_episodes()) == (4, 1)
         assert experiment.rl_return() == 3.0
-
-
-@BOTH
-def test_single_steps_say_that_the_episode_was_cut_off(glue: Glue) -> None:
-    agent = ScriptedAgent()
-    with glue(agent, CuttingEnvironment()) as experiment:
-        experiment.rl_init()
-        for truncated in (False, True):
-            experiment.rl_start()
-            terminals = [experiment.rl_step().terminal for _ in range(2)]
-            last = experiment.rl_step()
-            assert [*terminals, last.terminal, last.truncated] == [False, False, True, truncated]
-        assert last.observation == Observation([3])
-        assert last.action == Action([103]), "the agent's answer to the last observation"
-        experiment.rl_env_start()
-        experiment.rl_env_start()
-        steps = [experiment.rl_env_step(Action([0])) for _ in range(3)]
-        assert [(step.terminal, step.truncated) for step in steps] == [(False, False)] * 2 + [(True, True)]
-        assert experiment.rl_num_episodes() == 1
 
 
 def test_an_agent_that_is_lost_at_the_cut_off_leaves_no_episode_behind() -> None:

@@ -65,11 +65,6 @@ def test_messages_come_out_as_they_went_in_however_they_are_cut(
     assert decoder.buffered == 0
 
 
-def test_a_ping_is_answered_with_its_context() -> None:
-    decoder = greeted()
-    assert events(decoder, b"\x04\x0a\x04PING\x00\x10abc") == [b"\x04\x08\x04PONGabc"]
-
-
 def test_a_context_that_is_too_long_is_cut_to_16_bytes() -> None:
     assert events(greeted(), b"\x04\x1b\x04PING\x00\x10" + b"c" * 20) == [b"\x04\x15\x04PONG" + b"c" * 16]
 
