@@ -22,7 +22,6 @@ from glue.legacy.codec import (
     TO_AGENT,
     TO_ENVIRONMENT,
     TO_EXPERIMENT,
-    Control,
     Decoder,
     Frame,
     Vocabulary,
@@ -114,14 +113,6 @@ def test_a_million_of_each_is_accepted() -> None:
     body = Observation(np.full(MAX_COUNT, 7), np.full(MAX_COUNT, 0.5), b"c" * MAX_COUNT).body
     message = Frame(Kind.ENV_START, body=body)
     assert decode(encode(message, FROM_ENVIRONMENT), FROM_ENVIRONMENT) == [message]
-
-
-def test_a_decoder_expects_an_agents_frames_after_the_handshake() -> None:
-    decoder = Decoder(HANDSHAKE)
-    decoder.receive_data(raw(Control.CONNECT_AGENT, b"ignored") + raw(7))
-    assert decoder.next_event() == Frame(Control.CONNECT_AGENT)
-    decoder.expect(FROM_AGENT)
-    assert decoder.next_event() == Frame(Kind.AGENT_END)
 
 
 # Texts
