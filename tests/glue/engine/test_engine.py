@@ -290,6 +290,14 @@ def test_an_end_that_the_agent_did_not_live_to_hear_is_not_counted() -> None:
     assert engine.num_episodes == 0
 
 
+def test_an_agent_that_is_lost_at_the_cut_off_leaves_no_episode_behind() -> None:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    engine.begin(Kind.RL_STEP)
+    assert engine.resume(Kind.ENV_STEP, (1.0, CUT_OFF), "o").kind is Kind.AGENT_STEP
+    assert not engine.in_episode
+
+
 @pytest.mark.parametrize(
     ("role", "verb", "expected"),
     [

@@ -1,4 +1,4 @@
-"""The glue in one process: the errors that a user's mistakes raise, and the state after them."""
+"""The glue in one process: the errors that a user's mistakes raise, and what may be left out or cut off."""
 
 from __future__ import annotations
 
@@ -197,6 +197,33 @@ def test_optional_methods_may_be_left_out(
         assert (type(taken.terminal), experiment.rl_num_episodes()) == (bool, 0 if truncated else 1)
         assert (experiment.rl_agent_message("?"), experiment.rl_env_message("?")) == ("", "")
         experiment.rl_cleanup()
+
+
+class CuttingEnvironment(ScriptedEnvironment):
+    """Cuts every second of its episodes off."""
+
+    episodes = 0
+
+    def env_start(self) -> Observation:
+        self.episodes += 1
+        return super().env_start()
+
+    def env_truncated(self) -> bool:
+        return self.episodes % 2 == 0
+
+
+@BOTH
+def test_at_a_cut_off_the_agent_gets_the_last_observation_and_no_end(glue: Callable[..., Any]) -> None:
+    agent = ScriptedAgent()
+    with glue(agent, CuttingEnvironment()) as experiment:
+        experiment.rl_init()
+        assert experiment.rl_episode() is True
+        assert (experiment.rl_num_steps(), experiment.rl_num_episodes()) == (3, 1)
+        agent.calls.clear()
+        assert experiment.rl_episode() is False
+        assert agent.calls == ["agent_start [0]", *(f"agent_step 1 [{step}]" for step in (1, 2, 3))]
+        assert (experiment.rl_num_steps(), experiment.rl_num_episodes()) == (4, 1)
+        assert experiment.rl_return() == 3.0
 
 
 def test_saving_what_cannot_be_saved_is_unsupported() -> None:

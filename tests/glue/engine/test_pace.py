@@ -13,7 +13,7 @@ from glue.engine.engine import Instruction
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment, local
 from glue.engine.pacer import Pacer
-from glue.errors import ConfigError, PeerFailed, RemoteProtocolError, Unsupported
+from glue.errors import ConfigError, PeerFailed, Unsupported
 from glue.pace import Pace
 from glue.types import Action
 from glue.wire.messages import Kind
@@ -213,14 +213,6 @@ def test_an_agent_has_half_a_period_even_if_the_environment_is_behind() -> None:
     pacer.due()
     pacer.call(step, 1.35)  # it took a quarter of a second
     assert pacer.deadline == pytest.approx(1.4)
-
-
-def test_the_answer_to_another_call_breaks_the_protocol() -> None:
-    pacer = Pacer(Pace(delay=1), Action(), None)
-    pacer.call(Instruction(Kind.AGENT_START), 0.0)
-    pacer.next_call(0.0, told=False)
-    with pytest.raises(RemoteProtocolError, match="AGENT_END was answered; AGENT_START was asked"):
-        pacer.answered(Kind.AGENT_END, (), None, 0.0)
 
 
 @pytest.mark.parametrize("wrong", [{"rate": -1.0}, {"rate": 2000.0}, {"rate": float("nan")}, {"delay": -1}])
