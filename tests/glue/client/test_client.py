@@ -240,9 +240,7 @@ def test_an_exception_in_one_of_several_sessions_is_told_there_and_all_others_ar
         serve(hub, {"a": ScriptedAgent(), "b": Failing(ValueError("no")), "c": ScriptedAgent()})
 
 
-def test_an_exception_is_told_to_the_hub_in_a_few_words_and_shown_in_full(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_exception_is_told_in_a_few_words_and_shown_in_full(capsys: pytest.CaptureFixture[str]) -> None:
     cause = ValueError("no such thing")
     (error, goodbye), raised = fail(cause)
     assert (error.seq, error.scalars) == (7, (ErrorCode.EXCEPTION, "ValueError: no such thing"))
@@ -254,9 +252,7 @@ def test_an_exception_is_told_to_the_hub_in_a_few_words_and_shown_in_full(
     assert "raise self._error" in shown
 
 
-def test_an_error_of_ours_is_told_without_its_name_and_shown_without_a_traceback(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_error_of_ours_is_told_without_its_name_or_a_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     (error, _), _ = fail(LocalProtocolError("ints must be whole"))
     assert error.scalars[1] == "ints must be whole"
     assert capsys.readouterr().err == ""

@@ -135,9 +135,7 @@ def connected(name: str) -> Iterator[Any]:
     ("way", "name"),
     [(connected, "tests/Nested-v0"), *((wrapped, f"{name}-v1") for name in ("CartPole", "Blackjack"))],
 )
-def test_there_and_back_is_where_it_began(
-    name: str, way: Callable[[str], AbstractContextManager[Any]]
-) -> None:
+def test_there_and_back_again(name: str, way: Callable[[str], AbstractContextManager[Any]]) -> None:
     direct = gymnasium.make(name)
     with way(name) as env:
         assert (env.observation_space, env.action_space) == (direct.observation_space, direct.action_space)

@@ -75,9 +75,7 @@ class LateLock:
         self._lock.release()
 
 
-def test_a_thread_that_the_machine_stops_while_it_asks_for_the_loop_is_given_it_all_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_thread_stopped_while_it_asks_for_the_loop_is_given_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "RLock", LateLock)
     taken = Loop(0.01, print)
     given: list[str] = []

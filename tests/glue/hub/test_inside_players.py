@@ -65,9 +65,7 @@ def test_results_are_those_of_one_process(
 
 
 @pytest.mark.parametrize("role", [Role.AGENT, Role.ENVIRONMENT])
-def test_a_player_that_raises_inside_fails_the_verb_as_outside(
-    role: Role, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_player_that_raises_inside_fails_as_outside(role: Role, capsys: pytest.CaptureFixture[str]) -> None:
     def fail(call: str) -> None:
         if call.startswith(("agent_step", "env_step")):
             raise ValueError("out of ideas")

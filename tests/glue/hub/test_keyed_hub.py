@@ -213,9 +213,7 @@ def test_key_and_hub_key_go_together(folder: KeyFolder) -> None:
     assert caught.value.settings == ("key",)
 
 
-def test_a_program_finds_its_place_in_the_environment(
-    folder: KeyFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_program_finds_its_place_in_variables(folder: KeyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     with serving(folder) as hub:
         for name, value in (
             ("GLUE_HUB", hub.endpoints[0]),

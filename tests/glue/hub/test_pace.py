@@ -262,9 +262,7 @@ def test_a_batch_has_no_pace() -> None:
 
 
 @pytest.mark.parametrize(("pace", "late"), [(Pace(delay=1), 0), (Pace(), None)])
-def test_an_experiment_in_another_process_knows_how_many_actions_were_late(
-    pace: Pace, late: int | None
-) -> None:
+def test_an_experiment_elsewhere_knows_how_many_actions_were_late(pace: Pace, late: int | None) -> None:
     with over_the_hub(ScriptedAgent([]), ScriptedEnvironment(3, 1.0, []), pace=pace) as glue:
         glue.rl_init()
         assert glue.rl_episode()

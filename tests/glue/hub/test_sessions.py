@@ -245,9 +245,7 @@ UNNAMED = "the name of a session must have printable characters, and at least on
         *(("agent", instance("a"), name, UNNAMED) for name in ("", "a\nb")),
     ],
 )
-def test_a_hello_that_makes_no_sense_is_refused(
-    role: str, instance: bytes, session: str, complaint: str
-) -> None:
+def test_a_hello_without_sense_is_refused(role: str, instance: bytes, session: str, complaint: str) -> None:
     rig = Rig()
     scalars = ((PROTOCOL_VERSION,), role, instance, "a", "test", ())
     assert error(rig.say("a", Kind.HELLO, 0, *scalars, session=session)) == (ErrorCode.MALFORMED, complaint)
@@ -292,9 +290,7 @@ def test_a_role_that_is_not_open_at_an_address_cannot_be_taken_there(rig: Rig) -
         assert rig.hello("b", Role.AGENT, session=session)[0].kind is Kind.WELCOME
 
 
-def test_an_instance_opens_no_address_that_is_not_open_to_its_role(
-    playing: Rig,
-) -> None:
+def test_an_instance_opens_no_address_that_is_not_open_to_its_role(playing: Rig) -> None:
     playing.binds["b"] = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT}))
     assert error(playing.hello("b", Role.ENVIRONMENT, who="e"))[0] == ErrorCode.NOT_ADMITTED
     assert playing.answer("e") is Kind.ENV_STEP
@@ -403,9 +399,7 @@ def test_an_experiment_whose_queue_was_full_gets_its_reply_when_there_is_room(ri
     assert [message.kind for message in rig.received("x")] == [Kind.RL_AGENT_MESSAGE]
 
 
-def test_a_player_that_does_not_answer_is_mentioned_again_and_again_but_ever_more_rarely(
-    playing: Rig,
-) -> None:
+def test_a_player_that_does_not_answer_is_mentioned_again_and_again_ever_more_rarely(playing: Rig) -> None:
     playing.logged.clear()
     for _ in range(200):
         playing.tick(1.0)
@@ -456,9 +450,7 @@ def test_an_empty_role_is_not_slow(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("lost", ["a", "e"])
-def test_a_player_unreachable_for_longer_than_the_timeout_makes_the_episode_void(
-    playing: Rig, lost: str
-) -> None:
+def test_a_player_unreachable_beyond_the_timeout_makes_the_episode_void(playing: Rig, lost: str) -> None:
     playing.cut(lost)
     playing.tick(CONFIG.heartbeat)
     playing.tick(CONFIG.timeout - 0.1)
@@ -611,9 +603,7 @@ def events(draw: st.DrawFn) -> tuple[Any, ...]:
 @pytest.mark.proof
 @given(st.lists(events(), max_size=60))
 @settings(max_examples=size(60, 2000), deadline=None)
-def test_sessions_survive_any_behaviour_and_account_for_what_they_keep(
-    story: list[tuple[Any, ...]],
-) -> None:
+def test_sessions_survive_any_behaviour_and_account_for_what_they_keep(story: list[tuple[Any, ...]]) -> None:
     rig = Rig(HubConfig(max_sessions=8))
     for what, *details in story:
         if what == "say":

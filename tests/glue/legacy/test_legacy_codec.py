@@ -147,9 +147,7 @@ def test_texts_that_java_counted_in_utf16_units_arrive_whole(texts: list[str]) -
 
 @some
 @given(st.text(st.characters(blacklist_characters="\0", codec="utf-8")), st.data())
-def test_the_end_of_a_java_text_that_comes_late_is_dropped_and_the_next_message_read(
-    text: str, data: st.DataObject
-) -> None:
+def test_the_end_of_a_java_text_that_comes_late_is_dropped(text: str, data: st.DataObject) -> None:
     assume(not text.isascii())
     stream = java_frame(10, text)
     cut = data.draw(st.integers(8 + 4 + len(text.encode("utf-16-be")) // 2, len(stream)))

@@ -53,9 +53,7 @@ def test_file_may_import_what_is_beside_it(folder: Path) -> None:
     assert find(Role.AGENT, "elsewhere/mine.py:Mine").__name__ == "Mine"
 
 
-def test_files_of_two_folders_have_each_their_own_modules_of_one_name_and_all_are_recorded(
-    folder: Path,
-) -> None:
+def test_files_of_two_folders_have_their_own_modules_of_one_name_and_all_are_recorded(folder: Path) -> None:
     for who in ("alice", "bob"):
         write(folder, f"{who}/policy.py", f"NAME = {who!r}")
         write(folder, f"{who}/parts/part.py", f"NAME = {who!r}")

@@ -52,9 +52,7 @@ def test_short_and_long_frames() -> None:
 
 
 @given(st.lists(frames, max_size=4), st.lists(st.integers(1, 2**17), max_size=40))
-def test_messages_come_out_as_they_went_in_however_they_are_cut(
-    messages: list[list[bytes]], cuts: list[int]
-) -> None:
+def test_messages_come_out_as_they_went_in_however_cut(messages: list[list[bytes]], cuts: list[int]) -> None:
     decoder = Decoder(ROUTER, MAX_FRAME)
     data = GREETING + READY + b"".join(map(encode, messages))
     found = []
