@@ -23,6 +23,15 @@ def folder(tmp_path: Path) -> KeyFolder:
     return KeyFolder(tmp_path)
 
 
+@pytest.fixture
+def carols(folder: KeyFolder) -> KeyFolder:
+    """A directory that admits one key."""
+    folder.entrant("carol")
+    folder.allow('[carol]\nrole = "agent"')
+    assert len(read_keys(folder.path).permits) == 1
+    return folder
+
+
 def refused(folder: KeyFolder, why: str) -> ConfigError:
     """Expect that the keys cannot be read for this reason."""
     with pytest.raises(ConfigError, match=why) as raised:
@@ -103,13 +112,10 @@ def test_a_directory_that_is_not_ready_is_refused_with_the_next_step(folder: Key
 
 @pytest.mark.parametrize("name", [".", "allow.toml", "carol.key", "hub.key_secret"])
 @pytest.mark.parametrize("mode", [0o020, 0o002])
-def test_files_that_others_can_change_are_refused(folder: KeyFolder, name: str, mode: int) -> None:
-    folder.entrant("carol")
-    folder.allow('[carol]\nrole = "agent"')
-    assert len(read_keys(folder.path).permits) == 1
-    path = folder.path / name
+def test_files_that_others_can_change_are_refused(carols: KeyFolder, name: str, mode: int) -> None:
+    path = carols.path / name
     path.chmod(path.stat().st_mode | mode)
-    refused(folder, "chmod")
+    refused(carols, "chmod")
 
 
 @pytest.mark.parametrize("depth", [0, 1, 2])
@@ -126,29 +132,25 @@ def test_a_key_is_refused_below_a_folder_that_others_can_change(folder: KeyFolde
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give a file away")
 @pytest.mark.parametrize("name", [".", "allow.toml", "carol.key", "hub.key_secret"])
-def test_files_of_another_user_are_refused(folder: KeyFolder, name: str) -> None:
-    folder.entrant("carol")
-    folder.allow('[carol]\nrole = "agent"')
-    os.chown(folder.path / name, NOBODY, NOBODY)
-    refused(folder, f"belongs to another user .*{NOBODY}")
+def test_files_of_another_user_are_refused(carols: KeyFolder, name: str) -> None:
+    os.chown(carols.path / name, NOBODY, NOBODY)
+    refused(carols, f"belongs to another user .*{NOBODY}")
 
 
 @pytest.mark.parametrize("spoilt", ["folder of the link", "folder of the target", "target"])
 @pytest.mark.parametrize("name", [".", "allow.toml", "carol.key", "hub.key_secret"])
 def test_symbolic_links_lead_only_to_files_that_others_cannot_exchange(
-    folder: KeyFolder, tmp_path: Path, name: str, spoilt: str
+    carols: KeyFolder, tmp_path: Path, name: str, spoilt: str
 ) -> None:
-    folder.entrant("carol")
-    folder.allow('[carol]\nrole = "agent"')
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    link, target = folder.path / name, elsewhere / "target"
+    link, target = carols.path / name, elsewhere / "target"
     link.rename(target)
     link.symlink_to("../elsewhere/target" if name != "." else "elsewhere/target")
-    assert len(read_keys(folder.path).permits) == 1
+    assert len(read_keys(carols.path).permits) == 1
     path = {"folder of the link": link.parent, "folder of the target": elsewhere, "target": target}[spoilt]
     path.chmod(path.stat().st_mode | 0o020)
-    refused(folder, "chmod")
+    refused(carols, "chmod")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give a link away")
