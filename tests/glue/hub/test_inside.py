@@ -10,7 +10,6 @@ from types import FrameType
 import pytest
 
 from glue.client.experiment import RemoteExperiment, connect_over
-from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import HubClosed
 from glue.hub.config import HubConfig
@@ -21,6 +20,7 @@ from glue.hub.io.loop import Loop
 from glue.hub.io.server import Hub
 from glue.system import network, threads
 from glue.wire.messages import Kind, Message
+from tests.glue.hub.test_inside_players import play
 from tests.hubs import running
 from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT
@@ -36,13 +36,6 @@ def inside(hub: Hub, session: str = "default") -> RemoteExperiment:
     return connect_over(InsideTransport(hub), session)
 
 
-def play(glue: Experiment) -> list[object]:
-    shown: list[object] = [glue.rl_init(), glue.rl_start()]
-    shown += [glue.rl_step() for _ in range(25)]
-    shown += [glue.rl_episode(7), glue.rl_return(), glue.rl_num_steps(), glue.rl_agent_message("how?")]
-    return shown
-
-
 def test_it_plays_where_there_is_no_epoll(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(network, "Poller", network.PortablePoller)  # as on macOS
     with (
@@ -50,7 +43,7 @@ def test_it_plays_where_there_is_no_epoll(monkeypatch: pytest.MonkeyPatch) -> No
         inside(hub) as glue,
         local(ChainAgent(), ChainEnvironment()) as expected,
     ):
-        assert play(glue) == play(expected)
+        assert play(glue, 1, 7) == play(expected, 1, 7)
 
 
 class LateLock:

@@ -26,6 +26,7 @@ from glue.wire.messages import (
     Role,
     Shape,
 )
+from tests.glue.wire.test_wire import messages
 from tests.proof import size
 from tests.weighing import check_sessions
 
@@ -175,8 +176,8 @@ class Rig:
         """Let time pass, with one tick at the end; drop heartbeats."""
         self.now += seconds
         self.sessions.tick(self.now)
-        for channel, messages in self.inbox.items():
-            self.inbox[channel] = [message for message in messages if message.kind is not Kind.HEARTBEAT]
+        for channel, inbox in self.inbox.items():
+            self.inbox[channel] = [message for message in inbox if message.kind is not Kind.HEARTBEAT]
 
     def wait(self, seconds: float) -> None:
         """Let time pass, without a tick; do what is due meanwhile, in its order."""
@@ -553,14 +554,6 @@ sessions = st.sampled_from(["s", "t", "", "\N{GRINNING FACE}" * MAX_NAME])
 instances = st.sampled_from([instance("1"), instance("2"), instance("3"), b""])
 texts = st.sampled_from(["", "text", "\0\n", "\N{GRINNING FACE}" * 220])
 names = st.sampled_from(["", "name", "\N{GRINNING FACE}" * 60])
-VALUES: dict[type, st.SearchStrategy[Any]] = {
-    int: st.integers(0, 2**63 - 1),
-    float: st.floats(),
-    bool: st.booleans(),
-    str: texts,
-    bytes: instances,
-    tuple: st.just(()),
-}
 sizes = st.sampled_from([3, 3, 2000, 100_000, 150_000])
 """Sizes of bodies: of light ones, and of some for which a session has to account."""
 
@@ -586,11 +579,9 @@ def events(draw: st.DrawFn) -> tuple[Any, ...]:
         hello = (versions, draw(roles), draw(instances), draw(texts), draw(names), abilities)
         return "say", channel, Message(Kind.HELLO, session, 0, hello)
     if what == "say":
-        kind = draw(st.sampled_from(sorted(TO_HUB)))
-        shape = TO_HUB[kind]
-        scalars = tuple(() if scalar.type is tuple else draw(VALUES[scalar.type]) for scalar in shape.scalars)
+        kind, _, _, scalars, _ = draw(messages(TO_HUB))
         seq = draw(st.integers(0, 12))
-        return "say", channel, Message(kind, session, seq, scalars, sized(shape, draw(sizes)))
+        return "say", channel, Message(kind, session, seq, scalars, sized(TO_HUB[kind], draw(sizes)))
     if what == "cut":
         return "cut", channel, draw(st.booleans())
     if what == "time":

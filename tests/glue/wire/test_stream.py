@@ -12,6 +12,7 @@ from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, encode
 from glue.wire.messages import Kind, Message
 from glue.wire.stream import Malformed, Stream
+from tests.glue.wire.test_learned import connected
 
 BODY = bytes(Observation([1, 2], [0.5], b"abc").body)
 LONG = bytes(Action(range(100)).body)
@@ -30,24 +31,9 @@ SHAPES: list[tuple[Kind, bool, tuple[float | bool, ...]]] = [
 every_step = pytest.mark.parametrize(("kind", "from_hub", "scalars"), SHAPES)
 
 
-def connected() -> tuple[Stream, Stream]:
-    """Return the hub's end and a peer's after their handshake."""
-    hub, peer = Stream(zmtp.ROUTER, 2**20), Stream(zmtp.DEALER, 2**20)
-    hub.receive_data(zmtp.GREETING)
-    peer.receive_data(zmtp.GREETING)
-    for one, other in ((hub, peer), (peer, hub)):
-        ready = one.next_event()
-        assert isinstance(ready, bytes)
-        other.receive_data(ready)
-    assert hub.next_event() is peer.next_event() is None
-    assert hub.ready
-    assert peer.ready
-    return hub, peer
-
-
 def acquainted(kind: Kind, from_hub: bool, *sessions: str) -> tuple[Stream, Stream]:
     """Return the sender and the receiver of a message of `kind`, which know its format in these sessions."""
-    hub, peer = connected()
+    hub, peer, *_ = connected(2**20)
     for session in sessions:
         hub.encode(Message(kind, session, 1, (1.0,) if kind is Kind.AGENT_STEP else (), BODY))
         peer.encode(Message(kind, session, 1, (1.0, False) if kind is Kind.ENV_STEP else (), BODY))
