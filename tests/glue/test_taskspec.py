@@ -242,20 +242,6 @@ def test_colon_spaces_are_read(written: str, read: str) -> None:
         ("2:e:1_[i]", "character 10: expected ':', not the end"),
         ("2:e:1_[i]:1_[i]:[0,1] x", "character 23: expected ':' or the end, not 'x'"),
         ("2:e:99999999_[i]:1_[i]", "character 5: 99999999 dimensions need as many letters; 1 received"),
-    ],
-)
-def test_colon_error_names_place_and_expectation(text: str, error: str) -> None:
-    with pytest.raises(TaskSpecError) as caught:
-        parse_task_spec(text)
-    assert str(caught.value).startswith(f"task spec, {error}")
-
-
-# Limits and hostile text
-
-
-@pytest.mark.parametrize(
-    ("text", "error"),
-    [
         ("", "character 1: expected VERSION"),
         ("sample task spec", "character 1: expected VERSION"),
         ("VERSION", "character 8: expected the name of a version"),
@@ -275,6 +261,9 @@ def test_error_names_place_and_expectation(text: str, error: str) -> None:
     with pytest.raises(TaskSpecError) as caught:
         parse_task_spec(text)
     assert str(caught.value).startswith(f"task spec, {error}")
+
+
+# Limits and hostile text
 
 
 @pytest.mark.timeout(20)

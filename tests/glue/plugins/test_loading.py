@@ -103,6 +103,7 @@ def test_summaries_are_docstrings_read_without_an_import() -> None:
         ("mine:Mime", "mine has no class 'Mime'; did you mean Mine?"),
         ("mine.py:Mime", "mine.py has no class 'Mime'; did you mean Mine?"),
         ("mine.py:number", "mine.py has no class 'number'"),
+        *((name, "gymnasium:NAME") for name in ("gymnasium", "gymnasium:")),
     ],
 )
 def test_name_of_nothing_is_an_error_that_says_so(folder: Path, name: str, error: str) -> None:
@@ -141,12 +142,6 @@ def test_syntax_error_is_shown_with_its_line_and_a_caret(folder: Path) -> None:
     shown = str(raised.value)
     assert "broken.py" in shown
     assert "line 2\n    class Mine(:\n               ^\nSyntaxError" in shown
-
-
-def test_an_adapter_without_a_name_is_told_how_to_write_one() -> None:
-    for name in ("gymnasium", "gymnasium:"):
-        with pytest.raises(ConfigError, match="gymnasium:NAME"):
-            find(Role.ENVIRONMENT, name)
 
 
 def test_module_that_says_what_it_needs_is_quoted_alone(folder: Path) -> None:
