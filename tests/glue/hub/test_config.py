@@ -178,24 +178,20 @@ def test_a_port_that_names_no_session_is_of_the_one_at_hand() -> None:
     assert LegacyPort.parse("4096=yours", "mine") == LegacyPort(4096, "yours")
 
 
+NO_PORTS = ("", "x", "=a", ":4096", "4096:", "-1", "4 096", "::1:4096", "a=b:4096", "4096 ")
+
+
 @pytest.mark.parametrize(
-    "text", ["", "x", "=a", ":4096", "4096:", "-1", "4 096", "::1:4096", "a=b:4096", "4096 "]
+    ("text", "why"),
+    [
+        *((text, r"write \[HOST:\]PORT\[=SESSION\]") for text in NO_PORTS),
+        *((text, "from 1 to 65535") for text in ("0", "65536", "99999=b")),
+        *((f"4096={name}", "the name of a session") for name in ("", "a\tb", "x" * 256)),
+    ],
 )
-def test_what_is_no_port_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"write \[HOST:\]PORT\[=SESSION\]"):
+def test_what_is_no_port_is_refused(text: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
         LegacyPort.parse(text)
-
-
-@pytest.mark.parametrize("text", ["0", "65536", "99999=b"])
-def test_a_port_is_from_1_to_65535(text: str) -> None:
-    with pytest.raises(ConfigError, match="from 1 to 65535"):
-        LegacyPort.parse(text)
-
-
-@pytest.mark.parametrize("session", ["", "a\tb", "x" * 256])
-def test_a_session_has_a_name(session: str) -> None:
-    with pytest.raises(ConfigError, match="the name of a session"):
-        LegacyPort.parse(f"4096={session}")
 
 
 @pytest.mark.parametrize("text", ["0.0.0.0:4096", "192.0.2.1:4096=b", "[::]:4096", "glue.example:4096"])
