@@ -10,7 +10,7 @@ from typing import Any
 from glue import connect, serve_agent, serve_environment
 from glue.engine.experiment import Experiment
 from glue.errors import PeerFailed
-from glue.hub.config import HubConfig
+from glue.hub.config import Bind, HubConfig
 from glue.hub.io.server import Hub
 from glue.roles import AgentLike, EnvironmentLike
 
@@ -38,7 +38,7 @@ def _serve(player: Any, url: str) -> None:
 
 
 @contextmanager
-def running(*players: Players, bind: str = "tcp://127.0.0.1:*", **settings: Any) -> Iterator[Hub]:
+def running(*players: Players, bind: str | Bind = "tcp://127.0.0.1:*", **settings: Any) -> Iterator[Hub]:
     """Serve players at a hub with these settings; yield the hub."""
     hub = Hub(HubConfig(bind=(bind,), **{"greeting": 60.0, **settings}))
     with serving(hub.endpoints[0], *players), hub.in_background():

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Container
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,6 @@ from glue.conform.hubs.scripted import reward
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.channel import Channel
 from glue.hub.config import HubConfig
-from glue.hub.io.server import Hub
 from glue.hub.session import Peer
 from glue.hub.sessions import Sessions
 from glue.pace import Pace
@@ -25,20 +23,17 @@ from glue.testing import ContractBroken, HubRule, check_hub
 from glue.types import Action, has_beside
 from glue.wire.beside import readable
 from glue.wire.messages import CALLS, EXTRAS, MASK, ErrorCode, Event, Kind, Message, Role, Value
+from tests.hubs import hub_with
 
 WAIT = 60.0
 """Seconds to wait; generous, as machines are busy. Only hubs that say nothing use them up."""
 
 
-@contextmanager
-def hub(url: str = "tcp://127.0.0.1:*") -> Iterator[str]:
-    config = HubConfig(bind=(url,), heartbeat=0.05, timeout=0.3)
-    with Hub(config).in_background() as running:
-        yield running.endpoints[0]
+hub = partial(hub_with, heartbeat=0.05, timeout=0.3)
 
 
 def test_our_hub_keeps_every_rule_also_while_it_is_at_work(tmp_path: Path) -> None:
-    with hub(f"ipc://{tmp_path}/hub") as url, connect(url) as glue:
+    with hub(bind=f"ipc://{tmp_path}/hub") as url, connect(url) as glue:
         check_hub(url, wait=WAIT)
         assert glue.rl_num_episodes() == 0
 
