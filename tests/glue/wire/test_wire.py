@@ -76,7 +76,7 @@ def rejected(*frames: bytes, shapes: Mapping[Kind, Shape] = TO_HUB, **limits: in
 # Round trips
 
 
-@given(st.one_of(st.tuples(st.just(shapes), messages(shapes)) for shapes in (TO_HUB, FROM_HUB)))
+@given(st.one_of([st.tuples(st.just(shapes), messages(shapes)) for shapes in (TO_HUB, FROM_HUB)]))
 def test_what_is_sent_arrives_unchanged(sent: tuple[Mapping[Kind, Shape], Message]) -> None:
     shapes, message = sent
     assert repr(decode(encode(message, shapes), shapes)) == repr(message)
@@ -98,6 +98,7 @@ def test_a_header_has_at_most_4096_bytes_and_an_array_64_items() -> None:
 
 BODY = Observation().body
 BEAT = header(67, "s", 0)
+NO_TERMINALS: list[Any] = [1.0, None, [], {}]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +111,7 @@ BEAT = header(67, "s", 0)
                 (header(13, "s", 1, 0.0, terminal), BODY),
                 f"terminal of ENV_STEP is true or false; {terminal} re",
             )
-            for terminal in (1.0, None, [], {})
+            for terminal in NO_TERMINALS
         ),
         *(
             ((header(20, "s", 1, seed),), "a whole number from 0 to 2^63 - 1")
