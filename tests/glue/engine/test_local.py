@@ -194,7 +194,8 @@ def test_optional_methods_may_be_left_out(
         assert experiment.rl_step() == Step(1.0, Observation([1]), False, False, Action([1]))
         taken = experiment.rl_step()
         assert taken == Step(1.0, Observation([2]), True, truncated, Action([2 if truncated else 1]))
-        assert (type(taken.terminal), experiment.rl_num_episodes()) == (bool, 0 if truncated else 1)
+        assert type(taken.terminal) is bool
+        assert (experiment.rl_num_episodes(), experiment.rl_num_steps()) == ((0, 3) if truncated else (1, 2))
         assert (experiment.rl_agent_message("?"), experiment.rl_env_message("?")) == ("", "")
         experiment.rl_cleanup()
 
