@@ -498,13 +498,6 @@ def test_plot_of_what_there_is_not_is_refused(run: Path, tmp_path: Path, wrong: 
     assert why in str(refused)
 
 
-def test_plot_of_a_run_under_way_draws_what_there_is(tmp_path: Path) -> None:
-    out = tmp_path / "out.png"
-    assert draw(make(tmp_path / "run", [4, 2, 0, 0]), out).exception is None
-    assert out.stat().st_size > 1000
-    assert "nothing to draw yet" in str(draw(make(tmp_path / "empty", [0, 0, 0, 0]), out).exception)
-
-
 def test_the_list_of_subcommands_has_the_first_sentence_of_each() -> None:
     for name, listed in results.commands.items():
         _, command, _ = results.resolve_command(Context(results), [name])

@@ -12,7 +12,7 @@ import pytest
 
 from agents.baselines import SkeletonAgent
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
-from experiment_runner.executors.job import BOTH, HubOptions, Line, Placement, Report
+from experiment_runner.executors.job import BOTH, HubOptions, Placement, Report
 from experiment_runner.executors.over_hub import hints
 from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.rewards import FiniteRewards
@@ -56,19 +56,6 @@ def test_hint_says_where_others_can_join(
         show(missing)
     agent = f"waiting for an agent; in another terminal: glue-agent hierarchical{hint}"
     assert lines == [agent, "waiting for the environment to start", agent, agent]
-
-
-def test_hint_has_the_port_of_the_hub() -> None:
-    def send(report: Report) -> None:
-        if isinstance(report, Line) and report.line.startswith("waiting for an agent"):
-            raise Heard(report.line)
-
-    placement = Placement(hub=HubOptions(bind=("tcp://*:*",), insecure=True))
-    with (
-        pytest.raises(Heard, match=r"--hub tcp://HOST:\d+$"),
-        open_experiment(REMOTE, placement, send, lambda: 0),
-    ):
-        raise AssertionError("an agent was missing")
 
 
 def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:

@@ -267,24 +267,6 @@ def test_command_plays_writes_and_shows(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("small_sets")
-def test_run_keeps_the_agents_file_and_refuses_a_changed_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    source = "from agents.baselines import RandomAgent\n\nclass Mine(RandomAgent): pass\n"
-    Path("mine.py").write_text(source)
-    given = ["--agent", "mine.py:Mine", "--seed", "1", "--out", "run"]
-    first = CliRunner().invoke(generalise, given, catch_exceptions=False)
-    assert first.exit_code == 0
-    (copy,) = Path("run/sources").glob("*-mine.py")
-    assert copy.read_text() == source
-    Path("mine.py").write_text(source + "# changed\n")
-    changed = CliRunner().invoke(generalise, given)
-    assert isinstance(changed.exception, ExperimentError)
-    assert str(tmp_path / "mine.py") in str(changed.exception)
-
-
-@pytest.mark.usefixtures("small_sets")
 def test_results_with_different_tables_are_not_mixed(tmp_path: Path) -> None:
     files = [str(tmp_path / "gap"), str(tmp_path / "set")]
     for file, options in zip(files, ([], ["--set", "train-200"]), strict=True):
