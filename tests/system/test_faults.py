@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -13,12 +12,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
-import zmq
 
 from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import RemoteExperiment, connect
-from glue.client.libzmq import Context
-from glue.client.players import serve_agent, serve_environment
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import HubClosed, PeerLost
@@ -26,6 +22,7 @@ from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.types import Action, Step
 from tests.forked import Recorded
+from tests.hubs import serving
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.proof import size
 from tests.scripted.peer import TIMEOUT
@@ -34,25 +31,6 @@ from tests.system.proxy import Proxy
 
 EPISODES = 4
 HEARTBEAT = 0.1
-
-
-@contextmanager
-def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
-    """Serve an agent or environment in a thread, over libzmq's DEALER; the hub must end before this does."""
-    serve = serve_agent if hasattr(player, "agent_init") else serve_environment
-    context: Context = zmq.Context()
-
-    def program() -> None:
-        serve(player, hub, session, context=context)
-
-    thread = threading.Thread(target=program)
-    thread.start()
-    try:
-        yield
-    finally:
-        thread.join(TIMEOUT)
-        context.destroy(linger=0)
-        assert not thread.is_alive()
 
 
 def port(hub: Hub) -> int:

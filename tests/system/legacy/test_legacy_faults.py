@@ -119,20 +119,6 @@ def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(
 
 
 @pytest.mark.parametrize("mortal", MORTALS)
-def test_our_experiment_is_notified_of_the_void_episode_and_continues(
-    rig: Rig, mortal: type[Agent | Environment]
-) -> None:
-    let_die(rig, mortal)
-    with rig.native() as glue:
-        glue.rl_init()
-        with pytest.raises(PeerLost, match="closed its connection"):
-            glue.rl_episode()
-        send_another(rig, mortal)
-        assert glue.rl_episode()
-        assert (glue.rl_num_steps(), glue.rl_num_episodes()) == (5, 1)
-
-
-@pytest.mark.parametrize("mortal", MORTALS)
 def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_stays(
     rig: Rig, mortal: type[Agent | Environment]
 ) -> None:
@@ -149,23 +135,6 @@ def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_
     glue = rig.experiment()
     glue.rl_init()
     assert glue.rl_episode(0) == 1
-    glue.close()
-
-
-def test_a_player_lost_between_episodes_is_replaced_silently(rig: Rig) -> None:
-    calls: list[str] = []
-    rig.ours(ScriptedAgent(calls))
-    environment = join(rig, Id.ENVIRONMENT_CONNECTION)
-    glue = rig.experiment()
-    glue.connection.send(Id.RL_INIT)
-    assert environment.receive() == (Id.ENV_INIT, b"")
-    environment.send_text(Id.ENV_INIT, "sample task spec")
-    assert glue.connection.receive()[0] == Id.RL_INIT
-    environment.close()
-    rig.log.wait_for("closed its connection")  # although no call was outstanding
-    rig.originals(FiveStepEnvironment())
-    assert glue.rl_episode(0) == 1
-    assert calls[0] == "agent_init sample task spec"
     glue.close()
 
 
