@@ -80,13 +80,6 @@ async def second_part(client: Any) -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_in_memory(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    agent = agent_without_transport(monkeypatch)
-    with session(agent, MinesEnvironment()):
-        talk(make_server(agent), mode, first_part, second_part)
-
-
-@pytest.mark.parametrize("mode", MODES)
 def test_over_http_but_not_through_a_page_of_another_site(
     mode: str, caplog: pytest.LogCaptureFixture
 ) -> None:

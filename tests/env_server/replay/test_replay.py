@@ -269,24 +269,6 @@ def test_our_recordings_replay(tmp_path: Path) -> None:
     assert moments == list(recorded_moments(open_recording(mario)))
 
 
-def test_recording_that_goes_on_from_a_saved_state_replays(tmp_path: Path) -> None:
-    environment = InfiniteMario()
-    task_spec = environment.env_init()
-    environment.env_start()
-    environment.env_step(RIGHT)  # held over, the button shows in the next episode's first observation
-    state = environment.env_save()
-    first = environment.env_start()
-    with TrajectoryWriter(tmp_path / "a") as recording:
-        recording.run(Run("", {}, task_spec, None, state))
-        recording.start(first)
-    assert len(list(replayed_moments(open_recording(tmp_path / "a"), build))) == 1
-    with TrajectoryWriter(tmp_path / "b") as recording:
-        recording.run(Run("", {}, task_spec))
-        recording.start(first)
-    with pytest.raises(Difference, match="x of sprite 0"):
-        list(replayed_moments(open_recording(tmp_path / "b"), build))
-
-
 def test_a_recording_without_extras_replays_with_them(tmp_path: Path) -> None:
     class Talking(MinesEnvironment):
         extras: ClassVar[dict[str, Extra]] = {"coins": 3}

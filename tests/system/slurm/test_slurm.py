@@ -113,26 +113,6 @@ def test_preempted_tasks_leave_a_checkpoint_and_run_again(tmp_path: Path) -> Non
     assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed"), log(tmp_path / "run")
 
 
-def test_a_task_that_is_told_to_end_leaves_a_checkpoint(tmp_path: Path) -> None:
-    shutil.copy(SLOW_AGENT, tmp_path)
-    plan = (*MINES, "--agent", "slow.py:Slow", "--episodes", 2000, "--in-process")
-    assert run(*plan, "--out", "undisturbed", cwd=tmp_path).returncode == 0
-    (tmp_path / "slow").touch()
-    slow = (*plan, "--agent-option", f"while_there={tmp_path}/slow", "--checkpoint-every", 0, "--out", "run")
-    assert submit(*slow, cwd=tmp_path).returncode == 0
-    wait_for(lambda: _done(tmp_path / "run" / "parts" / "0") >= 3)
-    job = (tmp_path / "run" / "parts" / "job").read_text()
-    subprocess.run(["scancel", "--batch", "--signal=TERM", job], check=True)  # as before its time limit
-    wait_for(lambda: not queue())
-    with Results.open(tmp_path / "run") as results:
-        assert 3 <= results.trials()[0].done < 2000
-        assert results.checkpointed() == {"Slow/mines/0": results.trials()[0].done}
-    (tmp_path / "slow").unlink()
-    assert submit("--resume", "run", "--trust", cwd=tmp_path).returncode == 0
-    wait_for(lambda: not queue())
-    assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed"), log(tmp_path / "run")
-
-
 def test_an_option_that_slurm_refuses_leaves_the_run_to_be_submitted_again(tmp_path: Path) -> None:
     plan = (*SARSA, "--episodes", 5, "--in-process", "--out", "run")
     refused = submit(*plan, "--sbatch", "partition=none", cwd=tmp_path)
