@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from agents.mario.sample import SampleAgent
 from env_server.mario.environment import InfiniteMario
@@ -18,48 +17,29 @@ if TYPE_CHECKING:
 GOLDEN = Path(__file__).parents[2] / "golden" / "sample_agent.jsonl.gz"
 
 
-def runs() -> Iterator[tuple[dict[str, Any], list[list[list[int]]]]]:
-    """Yield every recorded run and its actions, step by step, episode by episode."""
-    run: dict[str, Any] = {}
-    episodes: list[list[list[int]]] = []
+def test_the_originals_actions_step_for_step() -> None:
+    compared, terminal = 0, True
     with gzip.open(GOLDEN, "rt") as lines:
         for line in map(json.loads, lines):
             if line["kind"] == "run":
-                if run:
-                    yield run, episodes
-                run, episodes = line, []
+                agent = SampleAgent(seed=line["policy_seed"])
+                agent.agent_seed(99)  # This must not override the seed given as an option.
+                task = {name: line[name] for name in ("level_seed", "level_type", "level_difficulty")}
+                environment = InfiniteMario(**task)
+                agent.agent_init(environment.env_init())
             elif line["kind"] == "start":
-                episodes.append([])
+                assert terminal
+                action, terminal = agent.agent_start(environment.env_start()), False
             elif line["kind"] == "step":
-                episodes[-1].append(line["a"])
-    yield run, episodes
-
-
-def test_the_originals_actions_step_for_step() -> None:
-    compared = 0
-    for run, episodes in runs():
-        agent = SampleAgent(seed=run["policy_seed"])
-        agent.agent_seed(99)  # This must not override the seed given as an option.
-        environment = InfiniteMario(
-            level_seed=run["level_seed"],
-            level_type=run["level_type"],
-            level_difficulty=run["level_difficulty"],
-        )
-        agent.agent_init(environment.env_init())
-        assert len(episodes) == 30
-        for actions in episodes:
-            action = agent.agent_start(environment.env_start())
-            terminal = False
-            for recorded in actions:
                 assert not terminal
-                assert action == Action(recorded)
+                assert action == Action(line["a"])
                 reward, observation, terminal, *_ = environment.env_step(action)
                 if terminal:
                     agent.agent_end(reward)
                 else:
                     action = agent.agent_step(reward, observation)
                 compared += 1
-            assert terminal
+    assert terminal
     assert compared == 15_490
 
 

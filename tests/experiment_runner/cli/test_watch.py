@@ -17,8 +17,7 @@ from experiment_runner.cli.watch import play
 from glue.cli.screen import Marks, TerminalScreen, read_marks, renderer
 from glue.engine.local import local
 from glue.errors import ConfigError
-from glue.plugins.loading import Trained
-from glue.roles import AgentLike, Environment
+from glue.roles import Environment
 from glue.types import Observation
 from tests.forked import run
 from tests.glue.plugins.test_trained import sarsa
@@ -73,25 +72,6 @@ def test_watch_plays_unseen_episodes_first_and_says_how_the_others_went(tmp_path
     assert shown.returncode == 0, shown.stderr
     assert re.findall(r"episode (\d+): return", shown.stderr) == ["21", "22"]
     assert shown.stdout == ""
-
-
-def test_watch_shows_what_was_learned(tmp_path: Path) -> None:
-    learned = sarsa(200).agent_save()
-    (tmp_path / "mines.agent").write_bytes(learned)
-    greedy = SarsaAgent(learning=False, epsilon=0)
-    players: dict[str, AgentLike] = {"loaded": Trained(greedy, learned), "new": greedy}
-    ways = {}
-    for way, agent in players.items():
-        with local(agent, MinesEnvironment()) as glue:
-            glue.rl_init(seed=0)
-            glue.rl_episode(60)
-            ways[way] = f"episode 1: return {glue.rl_return():.2f} in {glue.rl_num_steps()} steps\n"
-    shown = run(
-        *("glue-watch", "--env", "mines", "--agent", "sarsa", "--load", "mines.agent", "--max-steps", "60"),
-        *("--agent-option", "learning=off", "--agent-option", "epsilon=0"),
-        cwd=tmp_path,
-    )
-    assert shown.stderr == ways["loaded"] != ways["new"]
 
 
 MISTAKES = {

@@ -330,6 +330,7 @@ def test_run_of_version_1_opens_today(tmp_path: Path) -> None:
             ("remote/mario/1", 0, "it raised ValueError"),
         ]
         assert results.returns("random/level_seed=121/mario/0").tolist() == [1.5, -10.25]
+        assert np.isnan(results.measure("random/level_seed=121/mario/0", "late")).tolist() == [True, True]
         assert results.checkpoint("random/level_seed=121/mario/0") == (2, Checkpoint(b"\x01\x02", b""))
         assert [void.why for void in results.voids()] == ["the agent was lost"]
         assert [event.kind for event in results.events()] == ["start", *["joined"] * 4]
