@@ -53,20 +53,6 @@ class Mine(RandomAgent):
     def agent_step(self, reward, observation):
         breakpoint()
 """
-OBSERVED = """from pathlib import Path
-
-from agents.baselines import RandomAgent
-from glue.client.observer import observe
-
-class Mine(RandomAgent):
-    def agent_end(self, reward):
-        pass
-
-    def agent_init(self, task_spec):
-        with observe(f"ipc://{Path('hub').absolute()}", wait=5):
-            Path("seen").touch()
-        super().agent_init(task_spec)
-"""
 PLAYERS = ("--env", "mines", "--agent", "random", "--max-steps", "9")
 MINES = (*PLAYERS, "--in-process")
 
@@ -158,15 +144,6 @@ def test_breakpoint_in_a_process_of_its_own_says_where_it_works() -> None:
     shown = invoke_anew(*run)
     assert shown.returncode == 1
     assert "--in-process" in shown.stderr
-
-
-def test_bind_serves_observers_if_no_player_is_expected() -> None:
-    Path("mine.py").write_text(OBSERVED)
-    run = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--max-steps", "9")
-    address = f"ipc://{Path('hub').absolute()}"
-    shown = invoke_anew(*run, "--bind", address)
-    assert shown.returncode == 0, shown.stderr
-    assert Path("seen").exists()
 
 
 def test_player_that_takes_no_seed_is_repeatable_from_the_global_generators_and_named_once() -> None:

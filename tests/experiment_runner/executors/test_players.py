@@ -18,6 +18,7 @@ from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from glue.client.observer import observe
 from glue.client.players import serve_agent, serve_environment
 from glue.errors import GlueError, PeerFailed, PeerLost, Refused
 from glue.hub.config import LegacyPort
@@ -73,6 +74,14 @@ def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
     with pytest.raises(Heard), open_experiment(REMOTE, placement, send, lambda: 0):
         raise AssertionError("an agent was missing")
     assert hub
+
+
+def test_an_address_serves_observers_if_no_player_is_expected(tmp_path: Path) -> None:
+    address = f"ipc://{tmp_path}/hub"
+    spec = replace(REMOTE, agent=RoleSpec("random"))
+    placement = Placement(hub=HubOptions(bind=(address,)))
+    with open_experiment(spec, placement, lambda report: None, lambda: 0), observe(address, wait=5):
+        pass
 
 
 REWARDS = '''
