@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -13,10 +13,8 @@ from env_server.mario.environment import InfiniteMario
 from glue.roles import Environment
 from glue.saves import unpack
 from glue.types import Action, Observation
-from tests.agents.conftest import TASK_SPEC
+from tests.agents.screens import TASK_SPEC, draw
 
-if TYPE_CHECKING:
-    from tests.agents.conftest import Draw
 RUN_LEFT = ACTIONS[action_number(LEFT, False, True)]
 
 
@@ -143,9 +141,9 @@ def test_worlds_that_begin_differently_are_remembered_apart() -> None:
     assert min(returns[-100:]) > 100.0
 
 
-def test_more_worlds_than_can_be_kept_are_not_kept(draw: Draw, task_spec: str) -> None:
+def test_more_worlds_than_can_be_kept_are_not_kept() -> None:
     agent = BestAgent()
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     for x in range(40):
         screen = draw("7" * 21, at=(float(x), 2.0))
         agent.agent_start(screen)
@@ -197,9 +195,9 @@ def test_an_episode_that_was_cut_off_leaves_its_places() -> None:
     assert agent.agent_message("best") == repr(returns[0])
 
 
-def test_an_episode_that_ends_while_settling_teaches_nothing(draw: Draw, task_spec: str) -> None:
+def test_an_episode_that_ends_while_settling_teaches_nothing() -> None:
     agent = BestAgent()
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     for _ in range(3):
         agent.agent_start(draw("M"))
         agent.agent_step(-0.01, draw("M"))
@@ -207,9 +205,9 @@ def test_an_episode_that_ends_while_settling_teaches_nothing(draw: Draw, task_sp
     assert agent.agent_message("best") == "none"
 
 
-def test_an_endless_episode_takes_no_more_than_so_much_memory(draw: Draw, task_spec: str) -> None:
+def test_an_endless_episode_takes_no_more_than_so_much_memory() -> None:
     agent = BestAgent()
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     screen = draw("M", "7" * 21)
     agent.agent_start(screen)
     for _ in range(5000):
@@ -243,8 +241,8 @@ def test_without_learning_the_best_episode_is_repeated_and_nothing_changes() -> 
     assert memory(watched) == memory(agent)
 
 
-def test_messages_are_answered(task_spec: str) -> None:
+def test_messages_are_answered() -> None:
     agent = BestAgent()
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     assert [agent.agent_message(each) for each in ("best", "cells", "epsilon")] == ["none", "0", "1.0"]
     assert "answers only the messages best, cells and epsilon" in agent.agent_message("hello")

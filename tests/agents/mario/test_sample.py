@@ -5,14 +5,11 @@ from __future__ import annotations
 import gzip
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from agents.mario.sample import SampleAgent
 from env_server.mario.environment import InfiniteMario
 from glue.types import Action
-
-if TYPE_CHECKING:
-    from tests.agents.conftest import Draw
+from tests.agents.screens import TASK_SPEC, draw
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "sample_agent.jsonl.gz"
 
@@ -43,10 +40,10 @@ def test_the_originals_actions_step_for_step() -> None:
     assert compared == 15_490
 
 
-def test_an_episode_that_was_cut_off_is_not_remembered(draw: Draw, task_spec: str) -> None:
+def test_an_episode_that_was_cut_off_is_not_remembered() -> None:
     screen = draw("M", "7" * 21)
     agent = SampleAgent(seed=5)
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     first = [agent.agent_start(screen), *(agent.agent_step(0.0, screen) for _ in range(19))]
     agent.agent_end(0.0)
     for _ in range(3):

@@ -13,7 +13,7 @@ from agents.planner.agent import PlannerAgent
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.game import Game
 from env_server.mario.level_sets import LEVEL_SETS
-from tests.agents.conftest import TASK_SPEC
+from tests.agents.screens import TASK_SPEC
 
 TASK = InfiniteMario().parameters
 
