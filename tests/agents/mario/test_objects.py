@@ -70,11 +70,7 @@ def test_positions_are_rounded_towards_zero() -> None:
     [(THREATS_2010, -3.0, 3.5, -6.0, 4.5), (THREATS_2012, -4.0, 5.5, -2.0, 4.5)],
 )
 def test_a_monster_is_a_threat_within_a_window(
-    threats: tuple[int, int, int, int],
-    left: float,
-    right: float,
-    below: float,
-    above: float,
+    threats: tuple[int, int, int, int], left: float, right: float, below: float, above: float
 ) -> None:
     def is_threat(dx: float, dy: float) -> bool:
         screen = draw(at=(8.0, 8.0), monsters=[(GOOMBA, 8.0 + dx, 8.0 + dy, 0.0, 0.0)])

@@ -12,12 +12,7 @@ from click.testing import CliRunner, Result
 
 from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
-from env_server.replay.episodes import (
-    build_environment,
-    open_recording,
-    recorded_moments,
-    replayed_moments,
-)
+from env_server.replay.episodes import build_environment, open_recording, recorded_moments, replayed_moments
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.executors.job import BEGINNING, Start
