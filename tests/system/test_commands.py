@@ -337,23 +337,14 @@ def test_json_whose_reader_has_seen_enough_ends_without_complaint(
     assert "Error" not in shown.stderr
 
 
-SHADOWS = ("agents", "env_server", "glue", "random", "numpy", "zmq", "click", "numba", "typing")
-
-
-@pytest.fixture
-def shadowed(tmp_path: Path) -> Path:
-    """A working directory with files named like modules that everything depends on."""
-    for module in SHADOWS:
+def test_file_in_the_working_directory_takes_no_modules_place(tmp_path: Path) -> None:
+    for module in ("agents", "env_server", "glue", "random", "numpy", "zmq", "click", "numba", "typing"):
         (tmp_path / f"{module}.py").write_text("raise AssertionError(__file__)", encoding="utf-8")
     (tmp_path / "beside.py").write_text("ACTION = 0", encoding="utf-8")
     (tmp_path / "mine.py").write_text(f"import beside\n{_ENDLESS}", encoding="utf-8")
-    return tmp_path
-
-
-def test_file_in_the_working_directory_takes_no_modules_place(shadowed: Path) -> None:
     # In three processes: the command, and two modules of ours.
     players = ("--env", "mine.py:Endless", "--agent", "mine:Patient")
-    ended = run_anew("glue-experiment", *players, "--episodes", "2", "--max-steps", "20", cwd=shadowed)
+    ended = run_anew("glue-experiment", *players, "--episodes", "2", "--max-steps", "20", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
 
 

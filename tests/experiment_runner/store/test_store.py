@@ -115,6 +115,14 @@ def test_unusual_returns_are_kept(store: Store) -> None:
     assert store.returns(FIRST).tolist() == values
 
 
+def test_an_unknown_value_of_a_measure_repeats_any_other() -> None:
+    known, unknown = EpisodeResult(1, 2.0, 7, True, 0.1), EpisodeResult(1, math.nan, 7, True, 0.3)
+    assert known.repeats(unknown)
+    assert unknown.repeats(unknown)
+    assert not known.repeats(EpisodeResult(1, 3.0, 7, True, 0.1))
+    assert not unknown.repeats(EpisodeResult(1, math.nan, 8, True, 0.3))
+
+
 def test_episode_out_of_turn_or_of_an_unknown_trial_is_refused(store: Store) -> None:
     store.record(FIRST, result(1))
     for episode in (0, 1, 3):
