@@ -10,6 +10,7 @@ import pytest
 from agents.mario.agent import ACTIONS, LEFT, action_number
 from agents.mario.best import BestAgent
 from env_server.mario.environment import InfiniteMario
+from glue.engine.local import local
 from glue.roles import Environment
 from glue.saves import unpack
 from glue.types import Action, Observation
@@ -63,18 +64,12 @@ class Walk(Environment):
 def play(agent: BestAgent, environment: Environment, episodes: int) -> tuple[list[list[Action]], list[float]]:
     """Play with an initialised agent; return every episode's actions and return."""
     actions, returns = [], []
+    glue = local(agent, environment)
     for _ in range(episodes):
-        action = agent.agent_start(environment.env_start())
-        actions.append([action])
-        total, terminal = 0.0, False
-        while not terminal:
-            reward, observation, terminal, *_ = environment.env_step(action)
-            total += reward
-            if not terminal:
-                action = agent.agent_step(reward, observation)
-                actions[-1].append(action)
-        agent.agent_end(reward)
-        returns.append(total)
+        actions.append([glue.rl_start().action])
+        while not (step := glue.rl_step()).terminal:
+            actions[-1].append(step.action)
+        returns.append(glue.rl_return())
     return actions, returns
 
 

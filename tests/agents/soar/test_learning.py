@@ -19,6 +19,7 @@ from agents.soar.agents import (
     parse_rules,
 )
 from env_server.mario.environment import InfiniteMario
+from glue.engine.local import local
 from studies.soar_values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
 from tests.agents.soar.memory import Memory, working_memory
 
@@ -92,18 +93,14 @@ def goal_reached(before: Watched, now: Memory) -> bool:
 
 def choices(agent: Any, episodes: int) -> Iterator[tuple[float, bool]]:
     """Play; yield the reward before each choice, once the agent has made it, and the last one with True."""
-    game = InfiniteMario()
-    agent.agent_seed(2)
-    agent.agent_init(game.env_init())
+    glue = local(agent, InfiniteMario())
+    glue.rl_init(seed=2)
     for _ in range(episodes):
-        action, reward, terminal = agent.agent_start(game.env_start()), 0.0, False
+        glue.rl_start()
+        reward, terminal = 0.0, False
         while not terminal:
             yield reward, False
-            reward, observation, terminal, *_ = game.env_step(action)
-            if terminal:
-                agent.agent_end(reward)
-            else:
-                action = agent.agent_step(reward, observation)
+            reward, _, terminal, *_ = glue.rl_step()
         yield reward, True
 
 
