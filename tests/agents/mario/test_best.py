@@ -178,12 +178,7 @@ def test_without_exploring_the_first_episode_is_repeated() -> None:
 def test_an_episode_that_was_cut_off_leaves_its_places() -> None:
     walk = Walk()
     agent = started(walk)
-    action = agent.agent_start(walk.env_start())
-    for _ in range(30):
-        reward, observation, terminal, *_ = walk.env_step(action)
-        if terminal:
-            break
-        action = agent.agent_step(reward, observation)
+    local(agent, walk).rl_episode(9)
     assert agent.agent_message("best") == "none"
     assert int(agent.agent_message("cells")) > 0
     _, returns = play(agent, walk, 1)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from agents.mario.sample import SampleAgent
 from env_server.mario.environment import InfiniteMario
+from glue.engine.local import local
 from glue.types import Action
 from tests.agents.screens import TASK_SPEC, draw
 
@@ -22,19 +23,16 @@ def test_the_originals_actions_step_for_step() -> None:
                 agent = SampleAgent(seed=line["policy_seed"])
                 agent.agent_seed(99)  # This must not override the seed given as an option.
                 task = {name: line[name] for name in ("level_seed", "level_type", "level_difficulty")}
-                environment = InfiniteMario(**task)
-                agent.agent_init(environment.env_init())
+                glue = local(agent, InfiniteMario(**task))
+                glue.rl_init()
             elif line["kind"] == "start":
                 assert terminal
-                action, terminal = agent.agent_start(environment.env_start()), False
+                action, terminal = glue.rl_start().action, False
             elif line["kind"] == "step":
                 assert not terminal
                 assert action == Action(line["a"])
-                reward, observation, terminal, *_ = environment.env_step(action)
-                if terminal:
-                    agent.agent_end(reward)
-                else:
-                    action = agent.agent_step(reward, observation)
+                step = glue.rl_step()
+                action, terminal = step.action, step.terminal
                 compared += 1
     assert terminal
     assert compared == 15_490

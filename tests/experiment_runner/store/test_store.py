@@ -84,35 +84,11 @@ def start(program: str, *arguments: object, prefix: Sequence[str] = ()) -> subpr
     )
 
 
-def test_recorded_episodes_read_back(store: Store) -> None:
-    store.record(FIRST, result(1))
-    store.record(FIRST, result(2))
-    store.record(THIRD, result(1))
-    with Results.open(store.directory) as results:
-        assert results.episodes(FIRST) == [result(1), result(2)]
-        assert results.episodes(THIRD) == [result(1)]
-        assert results.episodes(SECOND) == []
-        assert results.returns(FIRST).tolist() == [1 / 3, 2 / 3]
-        assert results.returns(SECOND).shape == (0,)
-        records = results.trials()
-    assert [record.spec for record in records] == PLAN.expand()
-    assert [record.done for record in records] == [2, 0, 1, 0]
-    assert not any(record.finished for record in records)
-
-
 def test_reader_sees_each_episode_as_soon_as_it_is_recorded(store: Store) -> None:
     with Results.open(store.directory) as results:
         for episode in range(1, 50):
             store.record(FIRST, result(episode))
             assert results.returns(FIRST)[-1] == episode / 3
-
-
-def test_unusual_returns_are_kept(store: Store) -> None:
-    values = [math.inf, -math.inf, 0.1 + 0.2, 5e-324]
-    episodes = [EpisodeResult(number, value, 2**40, False, 0.0) for number, value in enumerate(values, 1)]
-    store.record_all([(FIRST, episode, None, (), ()) for episode in episodes])
-    assert store.episodes(FIRST) == episodes
-    assert store.returns(FIRST).tolist() == values
 
 
 def test_an_unknown_value_of_a_measure_repeats_any_other() -> None:
