@@ -27,16 +27,7 @@ from glue.wire.messages import Kind, Message
 from tests import weighing
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent
-from tests.system.legacy.legacy_client import (
-    TIMEOUT,
-    Closed,
-    Connection,
-    Die,
-    Id,
-    OriginalExperiment,
-    pack,
-    probe,
-)
+from tests.system.legacy.legacy_client import TIMEOUT, Closed, Connection, Die, Id, OriginalExperiment, pack
 from tests.system.legacy.legacy_rig import Log, Rig, gateway
 
 ROLES = (Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION)
@@ -243,15 +234,15 @@ def test_a_silent_connection_is_dropped_after_the_timeout() -> None:
 
 
 def test_a_port_probe_is_not_noticed_at_any_time(rig: Rig) -> None:
-    probe(rig.port())
+    rig.connect().close()
     rig.originals(MirrorAgent())
-    probe(rig.port())
+    rig.connect().close()
     rig.originals(FiveStepEnvironment())
     rig.connect().reset()
     glue = rig.experiment()
-    probe(rig.port())
+    rig.connect().close()
     glue.rl_init()
-    probe(rig.port())
+    rig.connect().close()
     assert glue.rl_episode(0) == 1
     rig.connect().reset()
     glue.close()
