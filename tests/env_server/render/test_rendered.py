@@ -46,8 +46,8 @@ class Notes(TerminalScreen):
         self.closed += 1
 
 
-def rendered(screen: TerminalScreen | None = None) -> Rendered:
-    return Rendered(MinesEnvironment(random_start=True), screen or TerminalScreen(io.StringIO()))
+def rendered() -> Rendered:
+    return Rendered(MinesEnvironment(random_start=True), TerminalScreen(io.StringIO()))
 
 
 class HarderMario(InfiniteMario):

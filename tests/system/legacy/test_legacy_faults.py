@@ -55,10 +55,10 @@ def assert_reset(connection: Connection) -> None:
         connection.receive_until_closed()
 
 
-def run_test_1(rig: Rig, session: str = "default") -> None:
+def run_test_1(rig: Rig) -> None:
     """Let an original trio show that everything works."""
-    rig.originals(MirrorAgent(), FiveStepEnvironment(), session=session)
-    with rig.experiment(session=session) as glue:
+    rig.originals(MirrorAgent(), FiveStepEnvironment())
+    with rig.experiment() as glue:
         SCENARIOS["test_1"].run(glue)
     rig.join()
 
