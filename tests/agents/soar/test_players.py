@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,10 +15,16 @@ from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, GlueError, SaveError
+from glue.plugins.loading import find, names
 from glue.saves import Saved, pack, unpack
+from glue.testing import check_agent
 from glue.types import Action, Observation
+from glue.wire.messages import Role
+from tests.contract.test_installed_players import observe
 
 pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
+
+NAMES = [name for name in names(Role.AGENT) if name.startswith("soar-")]
 
 UP = Path(__file__).with_name("up.soar").read_text("utf-8")
 
@@ -63,6 +70,17 @@ def test_the_example_learns_the_way_across_the_mines() -> None:
         glue.rl_init(seed=1)
         learned = returns(glue, 400)
     assert sum(learned[-50:]) / 50 > sum(learned[:50]) / 50 + 20
+
+
+def test_all_are_installed() -> None:
+    assert len(NAMES) == 7
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_agent_keeps_the_contract(name: str) -> None:
+    task = "mines" if name == "soar-mines" else "mario"
+    task_spec = find(Role.ENVIRONMENT, task)().env_init()
+    check_agent(find(Role.AGENT, name), task_spec, observation=partial(observe, task), episodes=2, steps=20)
 
 
 # Faults
