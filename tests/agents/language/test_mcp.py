@@ -20,7 +20,8 @@ from env_server.toys import MinesEnvironment
 from glue.errors import ConfigError
 from tests import forked
 from tests.agents.language.test_calls import session
-from tests.agents.language.test_texts import MARIO_SEEN, MARIO_SPEC
+from tests.agents.language.test_texts import MARIO_SEEN
+from tests.agents.screens import TASK_SPEC
 from tests.pages import DOCS, follow
 
 mcp = pytest.importorskip("mcp", reason="needs the SDK: pip install 'glue-rl[mcp]'")
@@ -139,7 +140,7 @@ def test_stdio_serves_one_session(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_mario_is_shown_as_an_image_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
     agent = agent_without_transport(monkeypatch)
-    agent.game.task(MARIO_SPEC)
+    agent.game.task(TASK_SPEC)
     agent.game.start(MARIO_SEEN)
 
     async def looks(client: Any) -> None:

@@ -2,12 +2,14 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import subprocess
 from pathlib import Path
 from threading import Thread
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -20,6 +22,9 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.client.players import serve_agent
 from glue.errors import ConfigError, ExperimentError, HubUnreachable
+from glue.roles import Environment
+from glue.taskspec.spaces import Discrete, task_spec
+from glue.types import Action, Observation, Step
 from tests import forked
 from tests.system.runs import contents
 
@@ -31,21 +36,6 @@ trials = 2
 
 [agents.sarsa]
 step_size = [0.1, 0.5]
-"""
-UNSEEDED = """import random
-
-import numpy as np
-from agents.baselines import RandomAgent as Mine
-from glue import Environment, Observation
-
-class Maze(Environment):
-    def env_init(self):
-        return ("VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 9) "
-                "ACTIONS INTS (0 3) REWARDS (-1 0) EXTRA")
-    def env_start(self):
-        return Observation(ints=[random.randrange(10)])
-    def env_step(self, action):
-        return -1.0, Observation(ints=[random.randrange(10)]), bool(np.random.random() < 0.1)
 """
 STOPPING = """from agents.baselines import RandomAgent
 
@@ -146,18 +136,30 @@ def test_breakpoint_in_a_process_of_its_own_says_where_it_works() -> None:
     assert "--in-process" in shown.stderr
 
 
+class Maze(Environment):
+    """Draws from both global generators, and takes no seed."""
+
+    def env_init(self) -> str:
+        return task_spec(Discrete(10), Discrete(4), rewards=(-1, 0))
+
+    def env_start(self) -> Observation:
+        return Observation([random.randrange(10)])
+
+    def env_step(self, action: Action) -> Step:
+        return Step(-1.0, self.env_start(), bool(np.random.random() < 0.1))
+
+
 def test_player_that_takes_no_seed_is_repeatable_from_the_global_generators_and_named_once() -> None:
-    Path("mine.py").write_text(UNSEEDED)
-    run = ("--env", "mine.py:Maze", "--agent", "mine.py:Mine", "--episodes", "3", "--max-steps", "50")
+    run = ("--env", f"{__file__}:Maze", "--agent", "random", "--episodes", "3", "--max-steps", "50")
     ways = {"inside": ("--in-process",), "again": ("--in-process",), "beside the hub": ("--inside", "env")}
     episodes = {}
     for name, way in ways.items():
         shown = invoke_anew(*run, *way, "--out", name)
         assert shown.returncode == 0, shown.stderr
         assert shown.stderr.count("the environment Maze has no env_seed") == 1
-        assert "the agent Mine has no" not in shown.stderr
+        assert "the agent random has no" not in shown.stderr
         with Results.open(Path(name)) as results:
-            episodes[name] = results.measure("Mine/Maze/0", "steps").tolist()
+            episodes[name] = results.measure("random/Maze/0", "steps").tolist()
             assert as_text([results]).count("the environment Maze has no env_seed") == 1
     assert all(steps == episodes["inside"] for steps in episodes.values())
     assert len(set(episodes["inside"])) > 1
