@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from agents.mario.agent import ACTIONS, LEFT, RIGHT, STAY, action_number
+from agents.mario.agent import ACTIONS, RIGHT, action_number
 from agents.mario.objects import A_COIN, A_MONSTER, A_QUESTION, STATIONARY
 from agents.mario.observation import GOOMBA
 from agents.mohan2010.flo import CONTEXT, FLO_LEVEL, KLO_LEVEL
@@ -46,17 +46,6 @@ def teach(agent: HierarchicalAgent, values: Mapping[int, float]) -> None:
     agent.agent_load(
         pack(Saved(agent.name, {"grid": 2, "tile_above": False}, {"random": 1, "cycles": 0}, arrays))
     )
-
-
-# Keys: the row of numbers that identifies each value
-
-
-def test_actions_are_numbered_by_direction_jump_and_run() -> None:
-    assert [action.ints.tolist() for action in ACTIONS] == [
-        [direction, jump, run] for direction in (-1, 0, 1) for jump in (0, 1) for run in (0, 1)
-    ]
-    assert ACTIONS[action_number(LEFT, True, False)] == Action((-1, 1, 0))
-    assert ACTIONS[action_number(STAY, False, True)] == Action((0, 0, 1))
 
 
 # Learning

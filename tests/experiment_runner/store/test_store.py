@@ -11,7 +11,7 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -75,9 +75,9 @@ def without_write_permission(folder: Path) -> Iterator[None]:
             folder.chmod(0o755)
 
 
-def start(program: str, *arguments: object, prefix: Sequence[str] = ()) -> subprocess.Popen[str]:
+def start(program: str, *arguments: object) -> subprocess.Popen[str]:
     """Start a Python program without coverage, which could not write its data if file sizes are limited."""
-    command = [*prefix, sys.executable, "-c", program, *map(str, arguments)]
+    command = [sys.executable, "-c", program, *map(str, arguments)]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
@@ -507,23 +507,18 @@ def test_killed_run_without_its_shm_file_is_read_on_a_read_only_medium(
 LIMITED = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))"
 
 
-def check_stopped_writer(process: subprocess.Popen[str], directory: Path, reason: str) -> None:
-    reported, message = process.communicate()
-    assert process.returncode == 3, message
-    last = int(reported.split()[-1])
-    assert message.strip().endswith(f"resume the run in {directory}")
-    assert f"episode {last + 1} of {FIRST} is not recorded: {reason}; the episodes before it are" in message
-    with Results.open(directory) as results:
-        assert results.episodes(FIRST) == [result(episode) for episode in range(1, last + 1)]
-
-
 def test_file_that_may_not_grow_stops_the_run_cleanly(store: Store) -> None:
     """A limit on file sizes makes SQLite's writes fail like a full disk, and needs no privileges."""
     store.close()
     with start(f"{LIMITED}\n{WRITE}", store.directory, FIRST) as process:
-        check_stopped_writer(process, store.directory, "disk I/O error")
+        reported, message = process.communicate()
+    assert process.returncode == 3, message
+    last = int(reported.split()[-1])
+    assert f"episode {last + 1} of {FIRST} is not recorded: disk I/O error; the episodes before" in message
+    assert message.strip().endswith(f"resume the run in {store.directory}")
     with Store.open(store.directory) as again:
-        again.record(FIRST, result(len(again.episodes(FIRST)) + 1))
+        assert again.episodes(FIRST) == [result(episode) for episode in range(1, last + 1)]
+        again.record(FIRST, result(last + 1))
 
 
 def test_full_disk_stops_the_run_cleanly(store: Store) -> None:
