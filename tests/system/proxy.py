@@ -16,10 +16,10 @@ _QUIT, _SHUT, _OPEN, _CUT = b"q", b"s", b"o", b"c"
 
 
 class Proxy:
-    """Passes bytes on to another port of this machine.
+    """Passes bytes on to a hub of this machine.
 
     Args:
-        port: the other port.
+        hub: its TCP address.
         cuts: number of times that all connections are reset, each after a few thousand bytes.
         seed: seed of the numbers of bytes between these cuts.
 
@@ -27,8 +27,8 @@ class Proxy:
         accepted: number of connections since the last `cut`.
     """
 
-    def __init__(self, port: int, cuts: int = 0, seed: int = 0) -> None:
-        self._target = port
+    def __init__(self, hub: str, cuts: int = 0, seed: int = 0) -> None:
+        self._target = int(hub.rpartition(":")[2])
         self._left = cuts
         self.accepted = 0
         self._limits: deque[int] = deque()

@@ -415,15 +415,10 @@ MISTAKES = {
         "glue-watch --agent random --env mines --random-start",
         "--env-option random_start=on",
     ),
-    "a misspelt option": (
-        "glue-experiment --env mines --agent sarsa --episodes 1 --agent-option stepsize=1",
-        "did you mean step_size",
-    ),
     "an address open to others": ("glue-hub --bind tcp://0.0.0.0:4999", "--insecure"),
     "a key without that of the hub": ("glue-agent random --key own", "(--hub-key)"),
     "no key, of a subcommand": ("glue-compete board . --signed-by nowhere", "(--signed-by)"),
     "two options at once": ("glue-hub --legacy-port 0.0.0.0:4096", "(--legacy-port, --insecure)"),
-    "a file that is not there": ("glue-agent nowhere.py:Agent", "no file nowhere.py"),
 }
 
 

@@ -33,11 +33,6 @@ EPISODES = 4
 HEARTBEAT = 0.1
 
 
-def port(hub: Hub) -> int:
-    """Return the TCP port of a hub."""
-    return int(hub.endpoints[0].rpartition(":")[2])
-
-
 class Processes:
     """Players in processes of their own, any number one after another."""
 
@@ -172,7 +167,7 @@ def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role
 def test_a_player_cut_off_for_longer_than_the_timeout_returns_as_it_was(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
     run = Run(timeout=1.0)
-    proxy = Proxy(port(run.hub))
+    proxy = Proxy(run.hub.endpoints[0])
     shut = At(moment, 5, proxy.shut)
     with proxy.in_background(), run.experiment(role, player, partner(before=shut), proxy.url) as (glue, _):
         run.on_notice["lost"] = proxy.open
@@ -211,7 +206,7 @@ def play_over_cuts(cuts: int, seed: int) -> None:
     expected = chain(local(ChainAgent(), ChainEnvironment()), episodes)
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=60.0, greeting=60.0))
     with hub.in_background():
-        proxy = Proxy(port(hub), cuts=cuts, seed=seed)
+        proxy = Proxy(hub.endpoints[0], cuts, seed)
         with (
             proxy.in_background(),
             Processes(proxy.url, "agent", "tests.players:ChainAgent"),

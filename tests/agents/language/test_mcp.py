@@ -31,12 +31,6 @@ MODES = ["auto", "legacy"]
 WITH_SDK = "runs in the tests, where the SDK is installed"
 
 
-def agent_without_transport(monkeypatch: pytest.MonkeyPatch) -> MCPAgent:
-    """Return an agent that serves nobody yet."""
-    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
-    return MCPAgent()
-
-
 def talk(where: object, mode: str, *steps: Callable[[Any], Awaitable[None]]) -> None:
     """Let a client take these steps, each over a connection of its own."""
 
@@ -139,7 +133,8 @@ def test_stdio_serves_one_session(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_mario_is_shown_as_an_image_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    agent = agent_without_transport(monkeypatch)
+    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
+    agent = MCPAgent()
     agent.game.task(TASK_SPEC)
     agent.game.start(MARIO_SEEN)
 

@@ -39,11 +39,10 @@ def together(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 @pytest.mark.proof
 def test_answers_sent_together_over_connections_that_break_have_the_same_returns(together: list[int]) -> None:
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), greeting=60.0))
-    port = int(hub.endpoints[0].rpartition(":")[2])
     agents = {str(i): RandomAgent(seed=i) for i in range(SESSIONS)}
     environments = {str(i): SkeletonEnvironment() for i in range(SESSIONS)}
     with (
-        Proxy(port, CUTS, seed=5).in_background() as proxy,
+        Proxy(hub.endpoints[0], CUTS, seed=5).in_background() as proxy,
         serving(proxy.url, agents, environments),
         hub.in_background(),
         ThreadPoolExecutor(SESSIONS) as pool,
