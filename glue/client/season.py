@@ -34,6 +34,9 @@ from glue.system.web import Answer, NoAnswer, ask, is_address
 PREFIX: Final = "/season/api/"
 """Path of the page below which programs ask."""
 
+STARTED: Final = 409
+"""Status of the answer to a request that was signed for another start of the page."""
+
 SEASON_FILE: Final = "season.toml"
 
 _SECONDS: Final = 60.0
@@ -156,6 +159,7 @@ class Page:
             raise ConfigError(f"{url!r:.120} is not the address of a page, such as https://season.example")
         host = parts.hostname or ""
         self.host: str = f"[{host}]" if ":" in host else host
+        self._start = ""  # as the page calls it; empty if that is not known
 
     def ask(
         self,
@@ -183,14 +187,20 @@ class Page:
         content = io.BytesIO(json.dumps(body or {}).encode()) if not isinstance(body, File) else body
         digest = hashlib.file_digest(content, "sha256").hexdigest()
         headers = {"Content-Length": str(content.seek(0, io.SEEK_END))}
-        content.seek(0)
-        if pair is not None:
-            # A proxy may have taken off the beginning of the path.
-            headers |= signed(pair, entrant, method, f"{PREFIX}{what}", digest, clock.unix())
-        try:
-            answer = ask(method, f"{self.url}{PREFIX}{what}", seconds, content, headers)
-        except NoAnswer as error:
-            raise SeasonBusy(f"the page {self.url} {error}") from None
+        for _ in range(2):
+            content.seek(0)
+            if pair is not None:
+                self._start = self._start or str(self.ask("GET", "start").get("start"))
+                # A proxy may have taken off the beginning of the path.
+                path, now = f"{PREFIX}{what}", clock.unix()
+                headers |= signed(pair, entrant, method, path, digest, self._start, now)
+            try:
+                answer = ask(method, f"{self.url}{PREFIX}{what}", seconds, content, headers)
+            except NoAnswer as error:
+                raise SeasonBusy(f"the page {self.url} {error}") from None
+            if answer.status != STARTED:
+                break
+            self._start = ""
         return self._understood(answer)
 
     def _understood(self, answer: Answer) -> Reply:

@@ -5,10 +5,11 @@
     POST withdraw   attempt
     PUT  image      a tar of docker save
     GET  tasks      what is played, for trying it at home
+    GET  start      start: a name of this start of the page, for which requests are signed
 
-Every request but the last is signed (see `glue.keys.requests`) and is passed on to the season's server, which
-decides. Here is what protects it: signatures, sizes, and the rate of requests from one address and of one
-entrant. A refusal is JSON, `{"error": TEXT}`, with 429 or 503 and Retry-After if it helps to wait.
+All requests but the last two are signed (see `glue.keys.requests`) and are passed on to the season's server,
+which decides. Here is what protects it: signatures, sizes, and the rate of requests from one address and of
+one entrant. A refusal is JSON, `{"error": TEXT}`, with 429 or 503 and Retry-After if it helps to wait.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import ipaddress
 import json
 import math
 import os
+import secrets
 import shutil
 import sys
 import tempfile
@@ -43,12 +45,12 @@ from experiment_runner.competition.season.images import MODULE
 from experiment_runner.competition.season.trying import tasks_of
 from experiment_runner.competition.settings import load_competition
 from experiment_runner.store.layout import COMPETITION_FILE
-from glue.client.season import PREFIX
+from glue.client.season import PREFIX, STARTED
 from glue.console import one_line
 from glue.errors import GlueError
 from glue.files import open_regular
 from glue.keys.certificates import decode
-from glue.keys.requests import DIGEST, ENTRANT, TIME, Once, Unsigned, check
+from glue.keys.requests import DIGEST, ENTRANT, START, Once, Unsigned, check
 
 _MOST_JSON: Final = 2**14
 _MOST_UPLOADS: Final = 4
@@ -138,6 +140,7 @@ def routes(directory: Path, now: Callable[[], float] = time.time) -> list[BaseRo
         Route(f"{PREFIX}withdraw", _answering(entrance.passing("withdraw")), methods=["POST"]),
         Route(f"{PREFIX}image", _answering(entrance.image), methods=["PUT"]),
         Route(f"{PREFIX}tasks", _answering(entrance.tasks), methods=["GET"]),
+        Route(f"{PREFIX}start", _answering(entrance.start), methods=["GET"]),
     ]
 
 
@@ -162,7 +165,7 @@ class _Entrance:
     def __init__(self, directory: Path, now: Callable[[], float]) -> None:
         self._directory = directory
         self._now = now
-        self._began = int(now())
+        self._start = secrets.token_hex()
         self._once = Once()
         self._of_address = Rate(50, 500, now)
         self._joins = Rate(0.2, 60, now)
@@ -198,6 +201,10 @@ class _Entrance:
         # Not the journal, which anybody could make the page read, however long it is.
         file = self._directory / COMPETITION_FILE
         return tasks_of(await run_in_threadpool(partial(load_competition, file, follow=False)))
+
+    async def start(self, request: Request) -> _Answer:
+        self._of_address.take(address_of(request))
+        return {"start": self._start}
 
     async def image(self, request: Request) -> _Answer:
         entrant = await self._sender(request)
@@ -255,8 +262,8 @@ class _Entrance:
         try:
             check(decode(key), request.method, request.url.path, request.headers, now)
             self._of_entrant.take(entrant)
-            if (late := self._began - int(request.headers[TIME])) > 0:  # an earlier page may have had it
-                raise Denied("the page was started after the request was signed: sign it anew", 503, late)
+            if request.headers.get(START) != self._start:  # an earlier page may have had it
+                raise Denied("the request was signed for another start of the page: sign it anew", STARTED)
             self._once.remember(request.headers, now)
         except Unsigned as error:
             raise Denied(f"the request {error}", 403) from None
