@@ -145,7 +145,7 @@ class Submit(_Request):
 
 
 class Status(_Request):
-    """The attempts that play, and those that wait."""
+    """How many attempts can be played and are, whether any are accepted, and why none is let play."""
 
 
 Request = Organise | Enrol | Attempt | Key | Withdraw | Submit | Status

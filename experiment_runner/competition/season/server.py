@@ -80,9 +80,6 @@ _PORT: Final = re.compile(r"(?P<host>tcp://.+):(?P<port>\d{1,5})")
 
 _MAX_NAME: Final = 200
 
-_MOST_SHOWN: Final = 200
-"""Maximum number of waiting attempts in a status."""
-
 
 @dataclass(slots=True)
 class _Slot:
@@ -188,7 +185,6 @@ class Server(Matches):
         """When each slot in which an attempt failed may be used again: its port may be taken."""
         self._began = clock()
         self._looked = -math.inf
-        self._started = now()
         self._boards: Boards | None = None
         self._boards_of = 0  # the number of acts in it
         self._boards_until = 0.0  # when they may be computed again
@@ -330,7 +326,8 @@ class Server(Matches):
         if one.state == "playing":
             if slot is None or not slot.left:
                 return {"state": "verifying", **reply}
-            reply |= {**_progress(slot), "session": name}
+            trial, trials = len(slot.trials) - len(slot.left) + 1, len(slot.trials)
+            reply |= {"trial": trial, "trials": trials, "session": name}
             if slot.entrant.key is not None and self._gate is not None:
                 reply["hub"] = gate_of(self._gate, slot.number).bind
             return {"state": "playing", **reply}
@@ -388,32 +385,13 @@ class Server(Matches):
         return {}
 
     def _status(self) -> Reply:
-        state, now = self._state, self._now()
-        playing = [
-            {
-                "entrant": name,
-                "attempt": slot.attempt.number,
-                "state": "playing" if slot.left else "verifying",
-                **_progress(slot),
-                "slot": slot.number,
-            }
-            for name, slot in self._slots.items()
-        ]
-        waiting = [
-            {"entrant": one.entrant, "attempt": one.number, "state": "waiting", "place": place}
-            for place, one in enumerate(schedule.queue(state), 1)
-        ]
-        accepting = state.closed is None and state.season.opens <= now < state.season.closes
+        state = self._state
+        accepting = state.closed is None and state.season.opens <= self._now() < state.season.closes
         return {
-            "attempts": playing + waiting[:_MOST_SHOWN],
-            "waiting": len(waiting),
             "slots": state.season.parallel,
-            "busy": len(playing),
-            "entrants": len(state.entrants),
-            "connected": sum(self._present(name) for name in state.entrants),
+            "busy": len(self._slots),
             "accepting": accepting and not state.paused,
             "why": state.paused,
-            "started": self._started.isoformat(),
         }
 
     # What is played
@@ -655,9 +633,3 @@ class Server(Matches):
             slot.left.popleft()
             self._verify(trial_id, outcome)
             self._go_on(slot)
-
-
-def _progress(slot: _Slot) -> dict[str, int]:
-    """Return which trial of an attempt is played or was last, from 1, and how many there are."""
-    count = len(slot.trials)
-    return {"trial": min(count - len(slot.left) + 1, count), "trials": count}
