@@ -234,12 +234,11 @@ def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]
     from experiment_runner.competition.board.forms import line_of
     from experiment_runner.competition.course import Course, act_on
     from experiment_runner.competition.records.journal import Act, utc_now
-    from experiment_runner.competition.season.acts import acts_for, competition_given
+    from experiment_runner.competition.season.acts import acts_for
     from experiment_runner.competition.season.control import Organise
     from experiment_runner.store.results import Results
 
     def acts(course: Course, results: Results) -> list[Act]:
-        competition_given(wanted, course)
         return acts_for(wanted, course, results.outcomes(), utc_now())
 
     wanted = Organise(kind, **wish)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act
 from experiment_runner.competition.season.control import Admitted, Organise
 from experiment_runner.competition.season.state import SeasonState
-from experiment_runner.competition.settings import Competition, load_competition
+from experiment_runner.competition.settings import load_competition
 from glue.errors import ExperimentError
 
 
@@ -46,7 +47,11 @@ def acts_for(
     name = wanted.subject
     match wanted.act:
         case journal.ADD:
-            return [one(new.name, player=new.player, id=new.id, alias=new.alias) for new in wanted.admitted]
+            aliases = {one.alias for one in course.acts if one.alias}
+            new = [(each.entrant, each.alias) for each in wanted.admitted]
+            if any(each.name in course.entrants or alias in aliases for each, alias in new):
+                raise ExperimentError("who takes part has changed meanwhile: try again")
+            return [one(each.name, player=each.player, id=each.id, alias=alias) for each, alias in new]
         case journal.RERUN if "/" in name:
             return course.repetitions([name], over, wanted.why)
         case journal.RERUN if not course.in_season:
@@ -113,36 +118,17 @@ def addition(course: Course, file: Path, secret: bytes) -> Mapping[str, Any]:
         ConfigError: the file cannot be read or describes no competition, or an entrant cannot be started.
         ExperimentError: it has no new entrant.
     """
-    given = load_competition(file)
+    given = load_competition(file.absolute())
     new = [entrant for entrant in given.entrants if entrant.name not in course.entrants]
     if not new:
         raise ExperimentError(f"{file} has no entrant that does not take part already")
     hidden = None if course.competition.season is None else secret
     taken = (one.alias for one in course.acts)
     acts = admissions(given, new, journal.ADD, "", secret=hidden, taken=taken)
-    admitted = tuple(Admitted(one.subject, one.player, one.id, one.alias) for one in acts)
-    return {"file": str(file.absolute()), "admitted": admitted}
-
-
-def competition_given(wanted: Organise, course: Course) -> Competition | None:
-    """Return the competition of the file of a wish to add its entrants; None for another wish.
-
-    Raises:
-        ConfigError: the file cannot be read or describes no competition.
-        ExperimentError: its entrants are not, or no longer, those that are to be added.
-    """
-    if wanted.act != journal.ADD:
-        return None
-    given = load_competition(Path(wanted.file))
-    new = {one.name: one.player for one in given.entrants if one.name not in course.entrants}
-    taken = {one.alias for one in course.acts if one.alias}
-    if (
-        not new
-        or {one.name: one.player for one in wanted.admitted} != new
-        or not taken.isdisjoint(one.alias for one in wanted.admitted)
-    ):
-        raise ExperimentError(f"{wanted.file}, or who takes part, has changed meanwhile: try again")
-    return given
+    admitted = tuple(
+        Admitted(replace(entrant, id=one.id), one.alias) for entrant, one in zip(new, acts, strict=True)
+    )
+    return {"admitted": admitted}
 
 
 def _paused(course: Course, state: SeasonState | None, who: str) -> str:

@@ -31,7 +31,7 @@ from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act, act
 from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
 from experiment_runner.competition.season import control, schedule
-from experiment_runner.competition.season.acts import acts_for, competition_given
+from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
@@ -253,11 +253,8 @@ class Server(Matches):
 
     def _organise(self, wanted: control.Organise) -> Reply:
         outcomes = self._store.outcomes() if "/" in wanted.subject else ()
-        given = competition_given(wanted, self._course)
         acts = acts_for(wanted, self._course, outcomes, self._now(), self._state)
-        if given is not None:
-            added = {one.subject for one in acts}
-            self._named |= {entrant.name: entrant for entrant in given.entrants if entrant.name in added}
+        self._named |= {new.entrant.name: new.entrant for new in wanted.admitted}
         self._record(*acts)
         return {"acts": [line_of(one) for one in acts]}
 

@@ -10,7 +10,7 @@ from datetime import datetime
 from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.organiser import Held
 from experiment_runner.competition.records.journal import utc_now
-from experiment_runner.competition.season.acts import acts_for, competition_given
+from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.control import Door, Organise, Reply, Request
 from experiment_runner.competition.season.server import Server, gate_of
 from experiment_runner.competition.settings import Competition, Gate
@@ -49,9 +49,8 @@ def answering(door: Door) -> Callable[[Held, float], None]:
         def answer(request: Request) -> Reply:
             if not isinstance(request, Organise):
                 raise ExperimentError("the season is over, and its final is played")
-            given = competition_given(request, held.course)
             acts = acts_for(request, held.course, held.over, utc_now())
-            held.record(acts, given)
+            held.record(acts, [new.entrant for new in request.admitted])
             return {"acts": [line_of(one) for one in acts]}
 
         door.serve(answer, seconds)
