@@ -5,20 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.records.journal import Act, act, acts_of
+from experiment_runner.competition.records.journal import EVERYBODY, Act, act, acts_of
 from experiment_runner.competition.records.seal import check_seal, record_acts, seal
 from experiment_runner.competition.settings import (
     Competition,
     Entrant,
-    Season,
-    changed,
     changes,
     load_competition,
 )
+from experiment_runner.competition.state import State
 from experiment_runner.competition.trials import attempt_trials, levels, trials
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
@@ -31,71 +31,51 @@ IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
 """The ids of images."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Course:
     """A competition with the acts of its organiser.
 
     Args:
         competition: as it was at the start.
-        acts: of its journal; none in a run of version 0.3.
+        acts: of its journal.
     """
 
     competition: Competition
     acts: Sequence[Act]
 
+    @cached_property
+    def state(self) -> State:
+        """The state after all acts.
+
+        Raises:
+            ExperimentError: an act cannot have been.
+        """
+        state = State(self.competition.season)
+        for one in self.acts:
+            state.apply(one)
+        return state
+
     @property
     def entrants(self) -> Mapping[str, Act]:
         """The entrants by name, with the act that admitted each, which has its present player and id."""
-        found = {
-            one.name: Act("", journal.ENTER, one.name, "", player=one.player)
-            for one in self.competition.entrants
-        }
-        for one in self.acts:
-            if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
-                found[one.subject] = one
-            elif one.act == journal.IMAGE and one.subject in found:
-                found[one.subject] = replace(found[one.subject], player=one.player, id=one.id)
-        return found
-
-    @property
-    def season(self) -> Season | None:
-        """The rules of the season, with the changes that were made to them; None if there is none.
-
-        Raises:
-            ExperimentError: a change is not allowed.
-        """
-        found = self.competition.season
-        for one in self.acts:
-            if found is not None and one.act == journal.CHANGE:
-                found = changed(found, one.subject, one.value)
-        return found
+        return {name: one.act for name, one in self.state.entrants.items()}
 
     @property
     def in_season(self) -> bool:
         """Whether there is a season that is not closed, so that no testing task is played yet."""
-        return self.competition.season is not None and all(one.act != journal.CLOSE for one in self.acts)
+        return self.state.rules is not None and self.state.closed is None
 
     @property
     def excluded(self) -> Mapping[str, str]:
         """The reason for each exclusion, by the entrant's name."""
-        return self._in_force(journal.EXCLUDE, journal.READMIT)
+        return {name: one.excluded for name, one in self.state.entrants.items() if one.excluded}
 
     @property
     def paused(self) -> Mapping[str, str]:
-        """The reason why no trial of an entrant, or of `EVERYBODY`, is started, outside of a season."""
-        return self._in_force(journal.PAUSE, journal.RESUME, journal.CLOSE)
-
-    def _in_force(self, begins: str, ends: str, ends_all: str | None = None) -> Mapping[str, str]:
-        """Return the reason of each act of the kind `begins` that none since has ended, by its subject."""
-        found: dict[str, str] = {}
-        for one in self.acts:
-            if one.act == begins:
-                found[one.subject] = one.reason
-            elif one.act == ends:
-                found.pop(one.subject, None)
-            elif one.act == ends_all:
-                found.clear()
-        return found
+        """The reason why nothing is started of an entrant, or of `EVERYBODY`."""
+        found = {EVERYBODY: self.state.paused}
+        found |= {name: one.paused for name, one in self.state.entrants.items()}
+        return {who: why for who, why in found.items() if why}
 
     @property
     def images(self) -> set[str]:
@@ -196,7 +176,7 @@ class Course:
 
     def changes(self, competition: Competition) -> list[Act]:
         """Return the acts of giving the season the rules that its file has now."""
-        was, now = self.season, competition.season
+        was, now = self.state.rules, competition.season
         if was is None or now is None or not self.in_season:
             return []
         return [

@@ -13,18 +13,11 @@ from experiment_runner.competition.organiser import admissions
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act
 from experiment_runner.competition.season.control import Admitted, Organise
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import load_competition
 from glue.errors import ExperimentError
 
 
-def acts_for(
-    wanted: Organise,
-    course: Course,
-    over: Collection[str],
-    now: datetime,
-    state: SeasonState | None = None,
-) -> list[Act]:
+def acts_for(wanted: Organise, course: Course, over: Collection[str], now: datetime) -> list[Act]:
     """Return the acts of the journal that carry out an organiser's wish.
 
     Args:
@@ -32,19 +25,15 @@ def acts_for(
         course: of the competition, so far.
         over: ids of the trials that are over.
         now: the time.
-        state: of the season, if it is known.
 
     Raises:
         ExperimentError: it cannot be; the message says why.
     """
-
-    if state is None and course.competition.season is not None:
-        state = SeasonState.of(course)
+    state, name = course.state, wanted.subject
 
     def one(subject: str, kind: str = wanted.act, number: int = 0, **more: Any) -> Act:
         return act(kind, subject, wanted.why, now=now, number=number, **more)
 
-    name = wanted.subject
     match wanted.act:
         case journal.ADD:
             aliases = {one.alias for one in course.acts if one.alias}
@@ -64,7 +53,9 @@ def acts_for(
                 )
             return course.repetitions(theirs, over, wanted.why)
         case journal.EXCLUDE:
-            return [course.exclusion(name, wanted.why), *_ended(state, name, wanted.why, now)]
+            excluded, current = course.exclusion(name, wanted.why), state.entrant(name).current.values()
+            ends = {"waiting": journal.CANCEL, "playing": journal.OURS}
+            return [excluded, *(one(name, ends[each.state], each.number) for each in current)]
         case journal.READMIT:
             if name not in course.excluded:
                 raise ExperimentError(f"{name:.80} is not excluded")
@@ -72,13 +63,13 @@ def acts_for(
         case journal.ANNOUNCE:
             return [one(EVERYBODY)]
         case journal.PAUSE | journal.RESUME:
-            paused = _paused(course, state, name or EVERYBODY)
+            paused = state.entrant(name).paused if name not in ("", EVERYBODY) else state.paused
             if wanted.act == journal.RESUME and not paused:
                 raise ExperimentError(
                     f"{name or ('the season' if course.in_season else 'the run')} is not paused"
                 )
             return [one(name or EVERYBODY)]
-    if state is None:
+    if state.rules is None:
         raise ExperimentError(
             f"{wanted.act:.20} is an act of a season, and the competition's file has no table [season]"
             + ("; rerun has an entrant play again" if wanted.act == journal.GRANT else "")
@@ -87,7 +78,15 @@ def acts_for(
         raise ExperimentError(f"the season was closed at {state.closed}")
     match wanted.act:
         case journal.RERUN:
-            return [_rerun(wanted, state, now)]
+            attempts = state.taking_part(name).attempts
+            ended = [number for number, each in attempts.items() if each.state in ("over", "ours")]
+            number = wanted.number or max(ended, default=0)
+            if number not in ended:
+                raise ExperimentError(
+                    f"{name} has no attempt {number or ''} that is over"
+                    + (f"; there are {', '.join(map(str, ended))}" if ended else "")
+                )
+            return [one(name, number=len(attempts) + 1, instead=number)]
         case journal.GRANT:
             state.entrant(name)
             if not 1 <= wanted.number <= 10_000:
@@ -129,35 +128,3 @@ def addition(course: Course, file: Path, secret: bytes) -> Mapping[str, Any]:
         Admitted(replace(entrant, id=one.id), one.alias) for entrant, one in zip(new, acts, strict=True)
     )
     return {"admitted": admitted}
-
-
-def _paused(course: Course, state: SeasonState | None, who: str) -> str:
-    """Return why somebody, or `EVERYBODY`, is paused; empty if not."""
-    if state is not None and course.in_season:
-        return state.paused if who == EVERYBODY else state.entrant(who).paused
-    if who not in (EVERYBODY, *course.entrants):
-        raise ExperimentError(f"there is no entrant {who:.80}")
-    return course.paused.get(who, "")
-
-
-def _ended(state: SeasonState | None, name: str, why: str, now: datetime) -> list[Act]:
-    """Return the ends of the attempts of one who is excluded."""
-    if state is None:
-        return []
-    entrant = state.entrant(name)
-    return [
-        act(journal.CANCEL if one.state == "waiting" else journal.OURS, name, why, now=now, number=one.number)
-        for one in entrant.current.values()
-    ]
-
-
-def _rerun(wanted: Organise, state: SeasonState, now: datetime) -> Act:
-    name, entrant = wanted.subject, state.taking_part(wanted.subject)
-    ended = [number for number, one in entrant.attempts.items() if one.state in ("over", "ours")]
-    number = wanted.number or max(ended, default=0)
-    if number not in ended:
-        raise ExperimentError(
-            f"{name} has no attempt {number or ''} that is over"
-            + (f"; there are {', '.join(map(str, ended))}" if ended else "")
-        )
-    return act(journal.RERUN, name, wanted.why, now=now, number=len(entrant.attempts) + 1, instead=number)

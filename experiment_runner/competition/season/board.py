@@ -27,8 +27,8 @@ from experiment_runner.competition.course import Course
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, time_text
 from experiment_runner.competition.season.schedule import queue
-from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.settings import Competition
+from experiment_runner.competition.state import Attempt, Enrolled
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
@@ -199,7 +199,7 @@ class Boards:
     all others.
 
     Args:
-        course: tasks, entrants and acts.
+        course: tasks, entrants and acts, which do not change any more.
         outcomes, verdicts, late: of the trials, by id, as `Results` returns them.
         now: the time.
 
@@ -215,12 +215,11 @@ class Boards:
         late: Mapping[str, tuple[int, int]],
         now: datetime,
     ) -> None:
-        state = SeasonState.of(course)
         played = {
             (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts)
-            for one in state.attempts("over")
+            for one in course.state.attempts("over")
         }
-        self._facts = _Facts(course, state, played, late, now)
+        self._facts = _Facts(course, played, late, now)
 
     @classmethod
     def of(cls, results: Results, course: Course, now: datetime) -> Boards:
@@ -237,7 +236,7 @@ class Boards:
 
     @cached_property
     def _public(self) -> _Board:
-        state = self._facts.state
+        state = self._facts.course.state
         return _Board(self._facts, state.closed is not None, state.frozen_at(self._facts.now))
 
     @cached_property
@@ -267,7 +266,6 @@ class _Facts(NamedTuple):
     """
 
     course: Course
-    state: SeasonState
     played: Mapping[tuple[str, int], _Played]
     late: Mapping[str, tuple[int, int]]
     now: datetime
@@ -331,7 +329,7 @@ class _Board:
 
     def __init__(self, facts: _Facts, told: bool, until: datetime | None) -> None:
         self._facts = facts
-        self._state = state = facts.state
+        self._state = state = facts.course.state
         self._until = until
         proving = facts.course.competition.proving
         self._tasks = tuple(task.name for task in proving if told or not task.hidden)

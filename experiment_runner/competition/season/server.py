@@ -35,7 +35,6 @@ from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
-from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.season.worker import Replay, Verified
 from experiment_runner.competition.settings import (
     NAMES,
@@ -45,6 +44,7 @@ from experiment_runner.competition.settings import (
     is_name,
 )
 from experiment_runner.competition.starters import name_of_run, starter_for
+from experiment_runner.competition.state import Attempt, Enrolled
 from experiment_runner.competition.trials import attempt_trials, levels
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
@@ -160,7 +160,7 @@ class Server(Matches):
         course = course_of(store.directory)
         self._acts = list(course.acts)
         self._course = Course(course.competition, self._acts)
-        self._state = SeasonState.of(course)
+        self._state = self._course.state  # of the acts so far
         self._named = {entrant.name: entrant for entrant in competition.entrants}
         self._keys: dict[str, str] = {}
         """The public key of each entrant that has one."""
@@ -253,7 +253,7 @@ class Server(Matches):
 
     def _organise(self, wanted: control.Organise) -> Reply:
         outcomes = self._store.outcomes() if "/" in wanted.subject else ()
-        acts = acts_for(wanted, self._course, outcomes, self._now(), self._state)
+        acts = acts_for(wanted, self._course, outcomes, self._now())
         self._named |= {new.entrant.name: new.entrant for new in wanted.admitted}
         self._record(*acts)
         return {"acts": [line_of(one) for one in acts]}
@@ -352,7 +352,7 @@ class Server(Matches):
         clock = self._clock()
         if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
             self._boards, self._boards_of = None, len(self._acts)
-            self._boards = Boards.of(self._store, self._course, self._now())
+            self._boards = Boards.of(self._store, replace(self._course, acts=list(self._acts)), self._now())
             self._boards.seen_by(ANYBODY)
             self._boards_until = self._clock() + 4 * (self._clock() - clock)
         return self._boards

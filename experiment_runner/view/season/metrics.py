@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from experiment_runner.competition.season.state import SeasonState
+from experiment_runner.competition.state import State
 from glue.installed import needing
 
 
-def metrics_of(state: SeasonState, status: Mapping[str, Any] | None) -> tuple[bytes, str]:
+def metrics_of(state: State, status: Mapping[str, Any] | None) -> tuple[bytes, str]:
     """Return the numbers in Prometheus's text format, and its media type.
 
     Args:

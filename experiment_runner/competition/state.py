@@ -1,4 +1,4 @@
-"""The state of a season: what the acts of its journal have made of it. No clock and no file is read."""
+"""The state of a competition: what the acts of its journal have made of it. No clock and no file is read."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from typing import Final, Literal
 
-from experiment_runner.competition.course import Course
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.records.journal import ENTER, EVERYBODY, Act
+from experiment_runner.competition.records.journal import EVERYBODY, Act
 from experiment_runner.competition.settings import Season, changed
 from glue.errors import ExperimentError
 
-State = Literal["waiting", "playing", "over", "ours", "cancelled"]
+AttemptState = Literal["waiting", "playing", "over", "ours", "cancelled"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class Attempt:
     entrant: str
     number: int
     requested: datetime
-    state: State = "waiting"
+    state: AttemptState = "waiting"
     began: datetime | None = None
     ended: datetime | None = None
     why: str = ""
@@ -55,7 +54,7 @@ class Attempt:
 
 @dataclass(slots=True)
 class Enrolled:
-    """An entrant of a season.
+    """An entrant, and its attempts in a season.
 
     Args:
         act: that admitted it, with its alias, team and token, and with its present player and id.
@@ -116,13 +115,13 @@ class Enrolled:
 
 
 @dataclass(slots=True)
-class SeasonState:
-    """The state of a season after the acts of its journal.
+class State:
+    """The state of a competition after the acts of its journal.
 
     Args:
-        season: its rules, with the changes that were made to them.
+        rules: of its season, with the changes that were made to them; None if it has none.
         entrants: by name, in the order of their admission.
-        paused: the reason why no attempt is let play; empty if attempts are.
+        paused: the reason why nothing is let play; empty if anything is.
         frozen: when the public board was frozen by an act; None if it was not, or was thawed.
         thawed: whether it was thawed, which also overrules `Season.freeze`.
         closed: when the season was closed; None if it was not.
@@ -130,7 +129,7 @@ class SeasonState:
         count: number of acts.
     """
 
-    season: Season
+    rules: Season | None
     entrants: dict[str, Enrolled] = field(default_factory=dict)
     paused: str = ""
     frozen: datetime | None = None
@@ -139,21 +138,16 @@ class SeasonState:
     announcements: list[Act] = field(default_factory=list)
     count: int = 0
 
-    @classmethod
-    def of(cls, course: Course) -> SeasonState:
-        """Return the state after all acts of a run's journal.
+    @property
+    def season(self) -> Season:
+        """The rules of the season.
 
         Raises:
-            ExperimentError: the competition has no season, or an act cannot have been.
+            ExperimentError: there is no season.
         """
-        if course.competition.season is None:
+        if self.rules is None:
             raise ExperimentError("the competition has no season: its file has no table [season]")
-        state = cls(course.competition.season)
-        for entrant in course.competition.entrants:
-            state.entrants[entrant.name] = Enrolled(Act("", ENTER, entrant.name, "", player=entrant.player))
-        for one in course.acts:
-            state.apply(one)
-        return state
+        return self.rules
 
     def apply(self, one: Act) -> None:
         """Take the next act of the journal into account.
@@ -174,15 +168,17 @@ class SeasonState:
             case journal.ANNOUNCE:
                 self.announcements.append(one)
             case journal.CHANGE:
-                self.season = changed(self.season, one.subject, one.value)
+                self.rules = changed(self.season, one.subject, one.value)
             case journal.CLOSE:
-                self.closed = one.when
+                self.closed, self.paused = one.when, ""
+                for entrant in self.entrants.values():
+                    entrant.paused = ""
             case journal.PAUSE if one.subject == EVERYBODY:
                 self.paused = one.reason
             case journal.RESUME if one.subject == EVERYBODY:
                 self.paused = ""
             case journal.RERUN if one.trial:
-                pass  # of a trial that is played after the season
+                pass  # of a trial, see `Course.reruns`
             case journal.REQUEST | journal.RERUN:
                 self._queue(one)
             case journal.START | journal.OVER | journal.OURS | journal.CANCEL | journal.WITHDRAW:
@@ -240,7 +236,7 @@ class SeasonState:
             raise ExperimentError(f"{name} has no attempt {number}")
         return attempts[number]
 
-    def attempts(self, *states: State) -> list[Attempt]:
+    def attempts(self, *states: AttemptState) -> list[Attempt]:
         """Return all attempts in these states; the cost of those that wait or play depends on no others."""
         current = not {*states} - {"waiting", "playing"}
         return [
@@ -299,7 +295,7 @@ class SeasonState:
             case journal.WITHDRAW:
                 new = replace(was, withdrawn=True)
             case _:
-                state: State = "ours" if one.act == journal.OURS else "cancelled"
+                state: AttemptState = "ours" if one.act == journal.OURS else "cancelled"
                 new = replace(was, state=state, ended=one.when, why=one.reason)
                 self._charge(entrant, was, -1)
         entrant.attempts[was.number] = new
@@ -308,7 +304,7 @@ class SeasonState:
             entrant.current[was.number] = new
 
 
-_BEFORE: Final[dict[str, tuple[State, ...]]] = {
+_BEFORE: Final[dict[str, tuple[AttemptState, ...]]] = {
     journal.START: ("waiting",),
     journal.OVER: ("playing",),
     journal.OURS: ("waiting", "playing"),
