@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act, acts_of
@@ -18,7 +16,7 @@ from experiment_runner.competition.settings import (
     changes,
     load_competition,
 )
-from experiment_runner.competition.state import State
+from experiment_runner.competition.state import IMAGE_ID, State
 from experiment_runner.competition.trials import attempt_trials, levels, trials
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
@@ -26,9 +24,6 @@ from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
-
-IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
-"""The ids of images."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +53,7 @@ class Course:
     @property
     def entrants(self) -> Mapping[str, Act]:
         """The entrants by name, with the act that admitted each, which has its present player and id."""
-        return {name: one.act for name, one in self.state.entrants.items()}
+        return {name: one.present for name, one in self.state.entrants.items()}
 
     @property
     def in_season(self) -> bool:
@@ -123,9 +118,8 @@ class Course:
             ExperimentError: it has other entrants, or other rules than at the start.
         """
         entrants = self.entrants
-        enrolled = {one.subject for one in self.acts if one.act == journal.ENROL}
         named = {one.name for one in competition.entrants}
-        for name in named ^ (set(entrants) - enrolled):
+        for name in named ^ {name for name, one in entrants.items() if one.act != journal.ENROL}:
             raise ExperimentError(
                 f"entrant {name} is not in the run yet: glue-compete add can add it"
                 if name in named
@@ -138,8 +132,8 @@ class Course:
                     f"the run was begun with other {what}: put back what its competition.toml has, or choose "
                     "another directory"
                 )
-        submitted = {one.subject for one in self.acts if one.act == journal.IMAGE}
-        known = {one.name: one for one in competition.entrants if one.name not in submitted}
+        state = self.state
+        known = {one.name: one for one in competition.entrants if state.entrants[one.name].image is None}
         found = (
             replace(known[name], id=one.id) if name in known else entrant_of(one)
             for name, one in entrants.items()
@@ -211,8 +205,9 @@ class Course:
         for trial in dict.fromkeys(trials):
             found = counting.get(TrialId(trial))
             if found is None:
+                such = next(iter(counting), "alice/easy/0")
                 raise ExperimentError(
-                    f"there is no trial {trial}: give entrant, task and number, as in {next(iter(counting))}"
+                    f"there is no trial {trial}: give entrant, task and number, as in {such}"
                 )
             if found not in over:
                 raise ExperimentError(f"{trial} is not over: glue-compete run plays it anyway")
@@ -235,11 +230,19 @@ def _rules(competition: Competition) -> dict[str, object]:
     }
 
 
-def entrant_of(admitted: Act) -> Entrant:
-    """Return an entrant that enrolled or submitted an image, from the act that admitted it."""
-    if IMAGE_ID.fullmatch(admitted.id):
-        return Entrant(admitted.subject, image=admitted.player, id=admitted.id)
-    return Entrant(admitted.subject, key=Path(admitted.player), id=admitted.id)
+def entrant_of(playing: Act, named: Entrant | None = None) -> Entrant:
+    """Return an entrant as it plays.
+
+    Args:
+        playing: has its player and id.
+        named: the entrant as the file names it; None if it has enrolled.
+    """
+    image = IMAGE_ID.fullmatch(playing.id)
+    if named is not None and (not image or named.player == playing.player):
+        return replace(named, id=playing.id)
+    if image:
+        return Entrant(playing.subject, image=playing.player, id=playing.id)
+    return Entrant(playing.subject, key=Path(playing.player), id=playing.id)
 
 
 def course_of(directory: Path) -> Course:

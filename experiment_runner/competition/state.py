@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -12,6 +13,9 @@ from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act
 from experiment_runner.competition.settings import Season, changed
 from glue.errors import ExperimentError
+
+IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
+"""The ids of images."""
 
 AttemptState = Literal["waiting", "playing", "over", "ours", "cancelled"]
 
@@ -27,7 +31,7 @@ class Attempt:
         state: `waiting`, then `playing`, then one of the others, which are final. `over` were played to the
             end or forfeited; `ours` were not, for a reason that is not the entrant's; `cancelled` never
             began.
-        began: when it was let play; None before.
+        start: the act that let it play, with its player; None before.
         ended: when it got its final state; None before.
         why: of `ours` and `cancelled`, the reason; of `over`, why it was forfeited, empty if it was not.
         withdrawn: whether its owner has withdrawn it, so that it does not count.
@@ -42,7 +46,7 @@ class Attempt:
     number: int
     requested: datetime
     state: AttemptState = "waiting"
-    began: datetime | None = None
+    start: Act | None = None
     ended: datetime | None = None
     why: str = ""
     withdrawn: bool = False
@@ -51,13 +55,19 @@ class Attempt:
     granted: bool = False
     order: int = 0
 
+    @property
+    def began(self) -> datetime | None:
+        """When it was let play; None before."""
+        return None if self.start is None else self.start.when
+
 
 @dataclass(slots=True)
 class Enrolled:
     """An entrant, and its attempts in a season.
 
     Args:
-        act: that admitted it, with its alias, team and token, and with its present player and id.
+        act: that admitted it.
+        image: the act with the image that it has submitted last; None if it has submitted none.
         attempts: by number, in the order in which they were queued.
         excluded: the reason; empty if it is not excluded.
         paused: the reason; empty if it is not paused.
@@ -70,6 +80,7 @@ class Enrolled:
     """
 
     act: Act
+    image: Act | None = None
     attempts: dict[int, Attempt] = field(default_factory=dict)
     excluded: str = ""
     paused: str = ""
@@ -84,6 +95,18 @@ class Enrolled:
     def name(self) -> str:
         """Its name."""
         return self.act.subject
+
+    @property
+    def present(self) -> Act:
+        """The act that admitted it, with its present player and id."""
+        if self.image is None:
+            return self.act
+        return replace(self.act, player=self.image.player, id=self.image.id)
+
+    @property
+    def key(self) -> str:
+        """Its public key; empty if the organiser's file names its program."""
+        return "" if IMAGE_ID.fullmatch(self.act.id) else self.act.id
 
     @property
     def playing(self) -> Attempt | None:
@@ -197,8 +220,7 @@ class State:
                 entrant.paused, entrant.failed = "", 0
             case journal.IMAGE:
                 entrant = self.entrant(one.subject)
-                entrant.act = replace(entrant.act, player=one.player, id=one.id)
-                entrant.failed = 0
+                entrant.image, entrant.failed = one, 0
                 if entrant.amends:
                     entrant.paused = ""
             case _:
@@ -287,7 +309,7 @@ class State:
             )
         match one.act:
             case journal.START:
-                new = replace(was, state="playing", began=one.when)
+                new = replace(was, state="playing", start=one)
                 entrant.served = self.count
             case journal.OVER:
                 new = replace(was, state="over", ended=one.when, why=one.reason)

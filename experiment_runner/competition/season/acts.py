@@ -14,6 +14,7 @@ from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act
 from experiment_runner.competition.season.control import Admitted, Organise
 from experiment_runner.competition.settings import load_competition
+from experiment_runner.plan.limits import TrialId
 from glue.errors import ExperimentError
 
 
@@ -41,13 +42,13 @@ def acts_for(wanted: Organise, course: Course, over: Collection[str], now: datet
             if any(each.name in course.entrants or alias in aliases for each, alias in new):
                 raise ExperimentError("who takes part has changed meanwhile: try again")
             return [one(each.name, player=each.player, id=each.id, alias=alias) for each, alias in new]
-        case journal.RERUN if "/" in name:
-            return course.repetitions([name], over, wanted.why)
         case journal.RERUN if not course.in_season:
             theirs = [
                 trial for trial, last in course.counting.items() if trial.parts[0] == name and last in over
             ]
-            if not theirs or wanted.number:
+            if "/" in name:
+                theirs = [TrialId(name)]
+            elif not theirs or wanted.number:
                 raise ExperimentError(
                     f"no trial of {name:.80} is over; give its name, or entrant, task and number"
                 )

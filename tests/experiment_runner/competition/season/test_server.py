@@ -480,6 +480,7 @@ def test_a_line_of_the_journal_that_a_kill_has_torn_is_written_again(season: Sea
     [
         ("rerun", "alice", {"number": 7}, "alice has no attempt 7 that is over"),
         ("rerun", "nobody", {}, "there is no entrant nobody"),
+        ("rerun", "alice/mines/0", {}, "there is no entrant alice/mines/0"),
         ("grant", "alice", {"number": 0}, "grant from 1 to 10,000 attempts"),
         ("grant", "nobody", {"number": 1}, "there is no entrant nobody"),
         ("exclude", "nobody", {}, "there is no entrant nobody"),
