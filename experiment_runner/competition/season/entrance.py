@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import fcntl
 import hashlib
 import io
 import ipaddress
@@ -48,7 +47,6 @@ from experiment_runner.store.layout import COMPETITION_FILE
 from glue.client.season import PREFIX, STARTED
 from glue.console import one_line
 from glue.errors import GlueError
-from glue.files import open_regular
 from glue.keys.certificates import decode
 from glue.keys.requests import DIGEST, ENTRANT, START, Once, Unsigned, check
 
@@ -66,9 +64,6 @@ _LEAST_RATE: Final = 2**18
 
 _LOAD_SECONDS: Final = 900.0
 """Time to check an image, and for the engine to take it."""
-
-_UPLOADS: Final = "uploads"
-"""Folder in the directory of a season for images on their way to the engine."""
 
 _ROOM: Final = 3
 """Times its size that an image may take for a while: as it came, checked, and in the engine."""
@@ -172,8 +167,6 @@ class _Entrance:
         self._of_entrant = Rate(2, 30, now)
         self._images = Rate(1 / 600, 5, now)
         self._uploading: set[str] = set()
-        for left in (directory / _UPLOADS).glob("*.tar"):
-            _remove_unless_received(left)
 
     async def join(self, request: Request) -> _Answer:
         self._joins.take(address_of(request))
@@ -220,24 +213,21 @@ class _Entrance:
             raise Denied(f"the image has {int(size) / 2**20:.1f} MiB, and {most} are allowed", 413)
         with self._upload(entrant, int(size)) as file:
             await _received(request, file, int(size), _UPLOAD_SECONDS)
-            found = await _loaded(file.name, season.most_bytes, self._directory)
+            found = await _loaded(file, season.most_bytes, self._directory)
         return await self._ask({"do": "submit", "entrant": entrant, "image": found, "name": found})
 
     @contextmanager
     def _upload(self, entrant: str, size: int) -> Iterator[BinaryIO]:
-        """Yield a file for an image, which is gone afterwards."""
+        """Yield a file for an image, which is gone afterwards, even if this process is killed."""
         if entrant in self._uploading:
             raise Denied("another image of this entrant is being received", 429, _RESTART_SECONDS)
         if len(self._uploading) >= _MOST_UPLOADS:
             raise Denied(f"{_MOST_UPLOADS} images are being received: try again", 503, _RESTART_SECONDS)
         self._uploading.add(entrant)
-        folder = self._directory / _UPLOADS
         try:
-            folder.mkdir(mode=0o700, exist_ok=True)
-            if shutil.disk_usage(folder).free < _ROOM * size:
+            if shutil.disk_usage(self._directory).free < _ROOM * size:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            with tempfile.NamedTemporaryFile(dir=folder, suffix=".tar") as file:
-                fcntl.flock(file, fcntl.LOCK_EX)
+            with tempfile.TemporaryFile(dir=self._directory) as file:
                 yield cast("BinaryIO", file)
         except OSError as error:
             why = f"the season's machine cannot keep the image: {error.strerror}; tell its organiser"
@@ -315,17 +305,11 @@ async def _received(request: Request, file: BinaryIO, most: int, seconds: float)
         raise Denied("the body is not the one that was signed: send it again")
 
 
-def _remove_unless_received(upload: Path) -> None:
-    """Remove a file that a page which was killed has left, not one that another page is receiving."""
-    with suppress(OSError), open_regular(upload) as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        upload.unlink()
-
-
-async def _loaded(path: str, most: int, directory: Path) -> str:
+async def _loaded(file: BinaryIO, most: int, directory: Path) -> str:
     """Load an image into the engine, in a process of its own; return its id."""
-    command = (sys.executable, "-P", "-m", MODULE, path, str(most), str(directory))
-    process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
+    file.seek(0)
+    command = (sys.executable, "-P", "-m", MODULE, str(most), str(directory))
+    process = await asyncio.create_subprocess_exec(*command, stdin=file, stdout=asyncio.subprocess.PIPE)
     try:
         async with asyncio.timeout(_LOAD_SECONDS):
             printed, _ = await process.communicate()
