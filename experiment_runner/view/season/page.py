@@ -23,7 +23,6 @@ from experiment_runner.competition.season.control import NoServer, Reply, ask
 from experiment_runner.view.app import application, file_routes, static_file
 from experiment_runner.view.guard import READING, Address, Guard, cookie_of
 from experiment_runner.view.season.metrics import metrics_of
-from experiment_runner.view.season.replays import Replays
 from experiment_runner.view.season.views import Views, digest_of
 from experiment_runner.view.server import Connection
 from experiment_runner.view.stream import Cache, Reader, json_response
@@ -33,6 +32,9 @@ _ENTRANCE: Final = "/season/api/"
 
 _UPLOAD: Final = "/season/api/image"
 _ASK_SECONDS: Final = 2.0
+_MOST_REPLAYS: Final = 8
+"""Replays that may wait: one thread plays them, one at a time, for seconds of a core each."""
+
 _VIEWER: Final = "viewer"
 
 
@@ -85,10 +87,11 @@ def season_page(views: Views, address: Address, entrance: Callable[[Path], list[
         ExperimentError: the season cannot be read.
     """
     directory, viewers = views.directory, dict(views.viewers())
-    read, server, replays, answers = Reader("views"), Reader("server"), Replays(), Cache()
+    read, server, replays = Reader("views"), Reader("server"), Reader("replays", _MOST_REPLAYS)
+    answers = Cache()
 
     def showing(
-        content: Callable[..., bytes], kind: str = "application/json", read: Reader | Replays = read
+        content: Callable[..., bytes], kind: str = "application/json", read: Reader = read
     ) -> Callable[[Request], Awaitable[Response]]:
         """Return the endpoint that shows a viewer the content for the parameters of the path."""
 
