@@ -34,9 +34,6 @@ _MOST_BYTES: Final = 2**17
 
 _MOST_BYTES_OF_REPLY: Final = 2**22
 
-_MOST_CLIENTS: Final = 64
-"""Clients served at once; others wait to be accepted."""
-
 _PATIENCE_SECONDS: Final = 5.0
 """Time for a client to send its request, and to read the reply."""
 
@@ -212,15 +209,6 @@ class Door(Closing):
             client.setblocking(False)
             self._clients[client] = bytearray(), self._clock() + _PATIENCE_SECONDS
             self._ready.register(client, selectors.EVENT_READ)
-            self._listen()
-
-    def _listen(self) -> None:
-        """Accept clients only while there is room for more."""
-        room, listening = len(self._clients) < _MOST_CLIENTS, self._listener in self._ready.get_map()
-        if room and not listening:
-            self._ready.register(self._listener, selectors.EVENT_READ)
-        elif listening and not room:
-            self._ready.unregister(self._listener)
 
     def _read(self, client: socket.socket) -> bytes | None:
         """Return the request of a client, once it is complete."""
@@ -262,7 +250,6 @@ class Door(Closing):
         del self._clients[client]
         self._ready.unregister(client)
         client.close()
-        self._listen()
 
 
 def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> Reply:
