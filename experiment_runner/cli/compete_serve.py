@@ -232,14 +232,16 @@ def organise(directory: Path, kind: str, **wish: Any) -> None:
 def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]:
     """Write the acts of a wish to the journal of a run that nobody holds."""
     from experiment_runner.competition.board.forms import line_of
-    from experiment_runner.competition.course import Course, act_on
-    from experiment_runner.competition.records.journal import Act, utc_now
+    from experiment_runner.competition.course import course_of
+    from experiment_runner.competition.records.journal import utc_now
+    from experiment_runner.competition.records.seal import check_seal, record_acts, seal
     from experiment_runner.competition.season.acts import acts_for
     from experiment_runner.competition.season.control import Organise
-    from experiment_runner.store.results import Results
+    from experiment_runner.store.store import Store
 
-    def acts(course: Course, results: Results) -> list[Act]:
-        return acts_for(wanted, course, results.outcomes(), utc_now())
-
-    wanted = Organise(kind, **wish)
-    return [line_of(one) for one in act_on(directory, acts)]
+    with Store.open(directory) as store:
+        seal(store)
+        check_seal(store)
+        acts = acts_for(Organise(kind, **wish), course_of(directory), store.outcomes(), utc_now())
+        record_acts(store, acts)
+    return [line_of(one) for one in acts]

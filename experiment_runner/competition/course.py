@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act, acts_of
-from experiment_runner.competition.records.seal import check_seal, record_acts, seal
 from experiment_runner.competition.settings import (
     Competition,
     Entrant,
@@ -21,8 +20,6 @@ from experiment_runner.competition.trials import attempt_trials, levels, trials
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.layout import COMPETITION_FILE
-from experiment_runner.store.results import Results
-from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
 
@@ -255,22 +252,3 @@ def course_of(directory: Path) -> Course:
     if not path.is_file():
         raise ExperimentError(f"{directory} holds no competition: glue-compete run makes one")
     return Course(load_competition(path, follow=False), acts_of(directory))
-
-
-def act_on(directory: Path, make: Callable[[Course, Results], list[Act]]) -> list[Act]:
-    """Append acts to the journal of a run, renew its seal, and return them.
-
-    Args:
-        directory: of the run.
-        make: returns the acts for what the run is now.
-
-    Raises:
-        ExperimentError: the directory holds no competition, is in use, was changed since it was sealed or
-            cannot be written to; or `make` raises it.
-    """
-    with Store.open(directory) as store:
-        seal(store)
-        check_seal(store)
-        made = make(course_of(directory), store)
-        record_acts(store, made)
-    return made
