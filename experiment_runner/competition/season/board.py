@@ -16,10 +16,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from itertools import accumulate, product
+from itertools import accumulate, compress, product
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.competition.board.standings import Forfeit, interval
@@ -244,17 +245,17 @@ class Boards:
         return _Board(self._facts, True, None)
 
 
-@dataclass(frozen=True, slots=True)
-class _Played:
+class _Played(NamedTuple):
     """The trials of an attempt that is over.
 
-    Args:
-        scores: verified, of each trial of each task.
-        forfeits: of its trials.
-        verified: whether all of them were.
+    scores      verified, shape (tasks, trials), of all proving tasks
+    lost        which of them were forfeited, likewise
+    forfeits    of its trials
+    verified    whether all of them were
     """
 
-    scores: Mapping[str, Sequence[float]]
+    scores: FloatArray
+    lost: npt.NDArray[np.bool_]
     forfeits: tuple[Forfeit, ...]
     verified: bool
 
@@ -300,18 +301,17 @@ def _played_in(
     outcomes: Mapping[str, TrialEnd],
     verdicts: Mapping[str, ReplayVerdict],
 ) -> _Played:
-    scores: dict[str, list[float]] = {}
-    forfeits: list[Forfeit] = []
-    verified = True
-    for task in competition.proving:
-        for number in range(competition.trials):
-            trial = _trial(attempt.entrant, attempt.number, task.name, number, competition)
-            outcome, verdict = outcomes.get(trial), verdicts.get(trial)
-            verified &= outcome is not None and verdict is not None and verdict.problem is None
-            if outcome is not None and outcome.reason is not None:
-                forfeits.append(Forfeit(task.name, number, outcome.reason))
-            scores.setdefault(task.name, []).append(math.nan if verdict is None else verdict.score)
-    return _Played(scores, tuple(forfeits), verified)
+    levels = list(product((task.name for task in competition.proving), range(competition.trials)))
+    trials = [_trial(attempt.entrant, attempt.number, *level, competition) for level in levels]
+    ends, judged = [outcomes.get(trial) for trial in trials], [verdicts.get(trial) for trial in trials]
+    reasons = [None if end is None else end.reason for end in ends]
+    shape = len(competition.proving), competition.trials
+    return _Played(
+        np.array([math.nan if one is None else one.score for one in judged]).reshape(shape),
+        np.array([reason is not None for reason in reasons]).reshape(shape),
+        tuple(Forfeit(*level, why) for level, why in zip(levels, reasons, strict=True) if why is not None),
+        None not in ends and all(one is not None and one.problem is None for one in judged),
+    )
 
 
 def _trial(entrant: str, attempt: int, task: str, number: int, competition: Competition) -> TrialId:
@@ -332,7 +332,8 @@ class _Board:
         self._state = state = facts.course.state
         self._until = until
         proving = facts.course.competition.proving
-        self._tasks = tuple(task.name for task in proving if told or not task.hidden)
+        self._told = [told or not task.hidden for task in proving]
+        self._tasks = tuple(task.name for task in compress(proving, self._told))
         self._hidden = tuple(task.name for task in proving if task.name not in self._tasks)
         self._queue = {(one.entrant, one.number): i for i, one in enumerate(queue(state), 1)}
         self._lowest = self._lowest_scores()
@@ -380,28 +381,19 @@ class _Board:
         found = entrant.standing(self._until)
         return [(root, one) for root, one in found if self._facts.played[one.entrant, one.number].verified]
 
-    def _lowest_scores(self) -> dict[tuple[str, int], float]:
-        """Return the lowest score of each level among those who played it to the end."""
-        lowest: dict[tuple[str, int], float] = {}
-        for entrant in self._state.entrants.values():
-            for _, one in self._standing(entrant):
-                played = self._facts.played[one.entrant, one.number]
-                left = {(lost.task, lost.trial) for lost in played.forfeits}
-                for task, scores in played.scores.items():
-                    for number, score in enumerate(scores):
-                        if (task, number) not in left:
-                            lowest[task, number] = min(score, lowest.get((task, number), math.inf))
+    def _lowest_scores(self) -> FloatArray:
+        """Return the lowest score of each level among those who played it to the end, as in `_Played`."""
+        standing = (one for each in self._state.entrants.values() for _, one in self._standing(each))
+        played = [self._facts.played[one.entrant, one.number] for one in standing]
+        scores = [np.where(one.lost, np.inf, one.scores) for one in played]
+        lowest: FloatArray = np.minimum.reduce(scores, axis=0, initial=np.inf)
         return lowest
 
     def _scores(self, attempt: Attempt) -> FloatArray:
-        """Return the scores of an attempt's trials, shape (tasks, trials)."""
+        """Return the scores of an attempt's trials, shape (tasks, trials), of the tasks that are shown."""
         played = self._facts.played[attempt.entrant, attempt.number]
-        scores = np.array([played.scores[task] for task in self._tasks])
-        for lost in played.forfeits:
-            if lost.task in self._tasks:
-                at = self._tasks.index(lost.task), lost.trial
-                scores[at] = min(scores[at], self._lowest.get((lost.task, lost.trial), math.inf))
-        return scores
+        scores = np.where(played.lost, np.minimum(played.scores, self._lowest), played.scores)
+        return scores[self._told]
 
     def _places_of(self) -> dict[str, _Placed]:
         found: list[_Placed] = []
