@@ -217,10 +217,10 @@ class Boards:
         now: datetime,
     ) -> None:
         played = {
-            (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts)
+            (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts, late)
             for one in course.state.attempts("over")
         }
-        self._facts = _Facts(course, played, late, now)
+        self._facts = _Facts(course, played, now)
 
     @classmethod
     def of(cls, results: Results, course: Course, now: datetime) -> Boards:
@@ -250,25 +250,23 @@ class _Played(NamedTuple):
 
     scores      verified, shape (tasks, trials), of all proving tasks
     lost        which of them were forfeited, likewise
+    late        number of late actions, and of all, of the trials with a rate, shape (tasks, trials, 2)
     forfeits    of its trials
     verified    whether all of them were
     """
 
     scores: FloatArray
     lost: npt.NDArray[np.bool_]
+    late: npt.NDArray[np.int64]
     forfeits: tuple[Forfeit, ...]
     verified: bool
 
 
 class _Facts(NamedTuple):
-    """The data of the boards for all viewers.
-
-    `played` has each attempt's entrant and number, `late` the late and all actions of each trial with a rate.
-    """
+    """The data of the boards for all viewers; `played` by an attempt's entrant and number."""
 
     course: Course
     played: Mapping[tuple[str, int], _Played]
-    late: Mapping[str, tuple[int, int]]
     now: datetime
 
 
@@ -300,22 +298,21 @@ def _played_in(
     competition: Competition,
     outcomes: Mapping[str, TrialEnd],
     verdicts: Mapping[str, ReplayVerdict],
+    late: Mapping[str, tuple[int, int]],
 ) -> _Played:
     levels = list(product((task.name for task in competition.proving), range(competition.trials)))
-    trials = [_trial(attempt.entrant, attempt.number, *level, competition) for level in levels]
+    before = (attempt.number - 1) * competition.trials
+    trials = [TrialId.of(attempt.entrant, task, before + number) for task, number in levels]
     ends, judged = [outcomes.get(trial) for trial in trials], [verdicts.get(trial) for trial in trials]
     reasons = [None if end is None else end.reason for end in ends]
     shape = len(competition.proving), competition.trials
     return _Played(
         np.array([math.nan if one is None else one.score for one in judged]).reshape(shape),
         np.array([reason is not None for reason in reasons]).reshape(shape),
+        np.array([late.get(trial, (0, 0)) for trial in trials]).reshape(*shape, 2),
         tuple(Forfeit(*level, why) for level, why in zip(levels, reasons, strict=True) if why is not None),
         None not in ends and all(one is not None and one.problem is None for one in judged),
     )
-
-
-def _trial(entrant: str, attempt: int, task: str, number: int, competition: Competition) -> TrialId:
-    return TrialId.of(entrant, task, (attempt - 1) * competition.trials + number)
 
 
 class _Board:
@@ -372,7 +369,7 @@ class _Board:
     def _shown(self, name: str, viewer: str) -> str:
         if _knows(viewer, name) or self._state.season.names == "own":
             return name
-        return self._state.entrants[name].act.alias or name
+        return self._state.entrants[name].act.alias
 
     def _standing(self, entrant: Enrolled) -> list[tuple[Attempt, Attempt]]:
         """Return the verified attempts that stand; see `Enrolled.standing`."""
@@ -450,11 +447,9 @@ class _Board:
         )
 
     def _late(self, placed: _Placed) -> float:
-        competition = self._facts.course.competition
-        counting = product(placed.counting, self._tasks, range(competition.trials))
-        trials = [_trial(placed.name, *one, competition) for one in counting]
-        late, actions = (sum(self._facts.late.get(trial, (0, 0))[i] for trial in trials) for i in (0, 1))
-        return late / actions if actions else math.nan
+        played = (self._facts.played[placed.name, number] for number in placed.counting)
+        late, actions = sum(one.late[self._told].sum(axis=(0, 1)) for one in played)
+        return float(late / actions) if actions else math.nan
 
     def _attempt(self, one: Attempt, knows: bool) -> AttemptRow:
         row = AttemptRow(

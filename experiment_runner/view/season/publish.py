@@ -85,7 +85,7 @@ class Publisher:
     def _remove_other_names(self) -> None:
         """Remove what was published while the season showed its entrants by the other of their names."""
         for one in self._views.state.entrants.values():
-            for shown in filter(None, (one.name, one.act.alias)):
+            for shown in (one.name, one.act.alias):
                 name = f"entrants/{shown}.json"
                 if name not in self._written:
                     with reported(f"cannot remove {self._folder / name}"):
