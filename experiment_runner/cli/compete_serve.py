@@ -86,8 +86,7 @@ def serve(
     from experiment_runner.competition.organiser import open_competition
     from experiment_runner.competition.season.executors import executor_of
     from experiment_runner.competition.season.images import remove_others
-    from experiment_runner.competition.season.service import check_gate
-    from experiment_runner.competition.season.service import serve as hold
+    from experiment_runner.competition.season.server import Server, check_gate
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_code, read_secret
     from experiment_runner.executors.opening import kept_if_begun
@@ -112,7 +111,7 @@ def serve(
         if page is not None:
             stack.enter_context(season_viewed(out, {"page": page, **of_page}, say))
         say(f"the season is served from {out}")
-        hold(store, competition, secret, code, gate, executor, say)
+        stack.enter_context(Server(store, competition, secret, code, gate, say)).serve(executor)
         if competition.season.images:
             with suppress(GlueError, ImportError):  # without an engine there are none
                 remove_others(out)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.course import Course
-from experiment_runner.competition.organiser import admissions
+from experiment_runner.competition.organiser import Held, admissions
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.records.journal import EVERYBODY, Act, act
-from experiment_runner.competition.season.control import Admitted, Organise
+from experiment_runner.competition.records.journal import EVERYBODY, Act, act, utc_now
+from experiment_runner.competition.season.control import Admitted, Door, Organise, Reply, Request
 from experiment_runner.competition.settings import load_competition
 from experiment_runner.plan.limits import TrialId
 from glue.errors import ExperimentError
@@ -102,6 +103,22 @@ def acts_for(wanted: Organise, course: Course, over: Collection[str], now: datet
             cancelled = (one(each.entrant, journal.CANCEL, each.number) for each in waiting)
             return [*cancelled, one(EVERYBODY)]
     raise ExperimentError(f"there is no act {wanted.act!r:.80}")
+
+
+def answering(door: Door) -> Callable[[Held, float], None]:
+    """Return the `visit` of a competition that is held at once, which carries out its organiser's acts."""
+
+    def visit(held: Held, seconds: float) -> None:
+        def answer(request: Request) -> Reply:
+            if not isinstance(request, Organise):
+                raise ExperimentError("the season is over, and its final is played")
+            acts = acts_for(request, held.course, held.over, utc_now())
+            held.record(acts, [new.entrant for new in request.admitted])
+            return {"acts": [line_of(one) for one in acts]}
+
+        door.serve(answer, seconds)
+
+    return visit
 
 
 def addition(course: Course, file: Path, secret: bytes) -> Mapping[str, Any]:

@@ -15,8 +15,10 @@ import base64
 import hashlib
 import hmac
 import math
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Final
@@ -27,7 +29,7 @@ from experiment_runner.competition.course import Course, course_of, entrant_of
 from experiment_runner.competition.match import NOT_CONNECTED, Match
 from experiment_runner.competition.organiser import Matches, Say, matches
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.records.journal import Act, act
+from experiment_runner.competition.records.journal import Act, act, utc_now
 from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
 from experiment_runner.competition.season import control, schedule
 from experiment_runner.competition.season.acts import acts_for
@@ -52,8 +54,9 @@ from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.store import Store
 from glue.console import one_line
 from glue.errors import ConfigError, ExperimentError
+from glue.hub.io.listener import reserve
 from glue.keys.allowed import HUB
-from glue.keys.certificates import PUBLIC, encode, read_public
+from glue.keys.certificates import PUBLIC, SECRET, encode, read_pair, read_public
 from glue.keys.certificates import decode as decode_key
 
 _TURN_SECONDS: Final = 0.05
@@ -139,6 +142,25 @@ def gate_of(gate: Gate, slot: int) -> Gate:
     return replace(gate, bind=f"{host}:{found}")
 
 
+def check_gate(competition: Competition, gate: Gate | None) -> None:
+    """Check that all who may connect from elsewhere can.
+
+    Raises:
+        ConfigError: there is no gate, it has no port for each slot, or a key cannot be read.
+    """
+    season = competition.season
+    assert season is not None
+    if gate is not None:
+        gate_of(gate, season.parallel - 1)
+        read_pair(gate.keys / f"{HUB}{SECRET}", "keys")
+    elif season.enrol != "closed" or any(entrant.key is not None for entrant in competition.entrants):
+        raise ConfigError(
+            "entrants with keys connect to this machine: give the directory of the hub's own pair (made by "
+            f"glue-keys new {HUB}), and an address to listen on",
+            settings=("keys", "bind"),
+        )
+
+
 class Server(Matches):
     """The server of a season; see the top of this module.
 
@@ -161,8 +183,9 @@ class Server(Matches):
         code: str | None,
         gate: Gate | None,
         say: Say,
-        now: Callable[[], datetime],
-        clock: Callable[[], float],
+        *,
+        now: Callable[[], datetime] = utc_now,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(store, say)
         self._competition = competition
@@ -192,16 +215,24 @@ class Server(Matches):
         self._boards_of = 0  # the number of acts in it
         self._boards_until = 0.0  # when they may be computed again
 
-    def serve(self, door: Door, executor: Executor, interrupts: Interrupts) -> None:
+    def serve(self, executor: Executor) -> None:
         """Serve until the season is closed and what was played is over.
 
         Raises:
+            ConfigError: a port is in use.
             StorageError: the run cannot be written to.
             ExperimentError: the executor can run nothing.
             KeyboardInterrupt: on Ctrl-C or SIGTERM.
         """
-        dispatcher = Dispatcher(executor, self, interrupts)
-        with executor, interrupts.deferred():
+        with ExitStack() as stack:
+            if self._gate is not None:  # nobody else can take its ports between two matches
+                for slot in range(self._state.season.parallel):
+                    stack.enter_context(reserve(gate_of(self._gate, slot).bind))
+            door = stack.enter_context(Door(self._directory, self._clock))
+            interrupts = stack.enter_context(Interrupts())
+            dispatcher = Dispatcher(executor, self, interrupts)
+            stack.enter_context(executor)
+            stack.enter_context(interrupts.deferred())
             self.begin(dispatcher)
             while self.turn(_TURN_SECONDS) or not interrupts.requested:
                 if self.over:
@@ -416,7 +447,7 @@ class Server(Matches):
         if clock - self._looked < _LOOK_SECONDS:
             return
         self._looked = clock
-        state, time = self._state, self._now()
+        state, now = self._state, self._now()
         for trial_id in [trial_id for trial_id, job in self._jobs.items() if clock > job.until]:
             if (slot := self._slots.get(TrialId(trial_id).parts[0])) is not None:
                 self._fail(slot, f"{trial_id} has taken far too long")
@@ -425,13 +456,13 @@ class Server(Matches):
             asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
             if self._must_ask(one) and clock - asked > _ABSENT_SECONDS:
                 why = "its program has stopped asking for it"
-                self._record(act(journal.CANCEL, name, why, now=time, number=one.number))
-        if state.closed is None and state.season.opens <= time < state.season.closes:
+                self._record(act(journal.CANCEL, name, why, now=now, number=one.number))
+        if state.closed is None and state.season.opens <= now < state.season.closes:
             for name in self._named.keys() & state.entrants.keys():
                 entrant = state.entrants[name]
                 if not (entrant.attempts or entrant.excluded or self._has_key(name)):
-                    self._record(act(journal.REQUEST, name, "its first", now=time, number=1))
-        for one in schedule.next_attempts(state, time, self._is_ready):
+                    self._record(act(journal.REQUEST, name, "its first", now=now, number=1))
+        for one in schedule.next_attempts(state, now, self._is_ready):
             self._begin(one)
         for slot in list(self._slots.values()):
             self._go_on(slot)
