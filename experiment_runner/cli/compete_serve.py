@@ -12,7 +12,7 @@ from typing import Any, Final
 import click
 
 from experiment_runner.cli.options import check_address, naming_out
-from experiment_runner.cli.season_options import page_options
+from experiment_runner.cli.season_page import page_options
 from experiment_runner.plan.limits import Backend
 from glue.cli.shared import DIRECTORY, FILE
 from glue.console import one_line, say
@@ -84,9 +84,9 @@ def serve(
     It ends when `close` closes the season. Whatever stops it before, the same command goes on where it was.
     """
     from experiment_runner.competition.organiser import open_competition
-    from experiment_runner.competition.season.executors import executor_of
     from experiment_runner.competition.season.images import remove_others
     from experiment_runner.competition.season.server import Server, check_gate
+    from experiment_runner.competition.season.worker import executor_of
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_code, read_secret
     from experiment_runner.executors.opening import kept_if_begun
