@@ -314,7 +314,7 @@ class Server(Matches):
             digest = hashlib.sha256(token.encode()).hexdigest()
             taken = {one.act.alias for one in self._state.entrants.values()}
             more = {"alias": pseudonym(name, self._secret, taken), "team": wanted.team, "token": digest}
-            self._record(act(journal.ENROL, name, "", now=self._now(), player=f"{name}.key", id=key, **more))
+            self._act(journal.ENROL, name, "", player=f"{name}.key", id=key, **more)
         hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
         return {"hub_key": hub_key, "token": token, "alias": self._state.entrants[name].act.alias}
 
@@ -392,7 +392,7 @@ class Server(Matches):
         return self._boards
 
     def _withdraw(self, name: str, number: int) -> Reply:
-        one, now = self._state.attempt(name, number), self._now()
+        one = self._state.attempt(name, number)
         if one.state == "playing":
             raise ExperimentError(f"attempt {number} is played: it can be withdrawn when it is over")
         if one.withdrawn or one.state in ("ours", "cancelled"):
@@ -401,7 +401,7 @@ class Server(Matches):
         if kind == journal.WITHDRAW and count != "best":
             which = "the last attempt counts" if count == "last" else "all attempts count"
             raise ExperimentError(f"{which} in this season, so none that is over can be withdrawn")
-        self._record(act(kind, name, "its owner has withdrawn it", now=now, number=number))
+        self._act(kind, name, "its owner has withdrawn it", number=number)
         return {}
 
     def _submit(self, wanted: control.Submit) -> Reply:
@@ -412,7 +412,7 @@ class Server(Matches):
         if not IMAGE_ID.fullmatch(wanted.image):
             raise ExperimentError(f"{wanted.image!r:.80} is not the id of an image")
         name = one_line(wanted.name, _MAX_NAME)
-        self._record(act(journal.IMAGE, wanted.entrant, "", now=self._now(), player=name, id=wanted.image))
+        self._act(journal.IMAGE, wanted.entrant, "", player=name, id=wanted.image)
         return {}
 
     def _status(self) -> Reply:
@@ -426,6 +426,9 @@ class Server(Matches):
         }
 
     # What is played
+
+    def _act(self, kind: str, name: str, reason: str, **more: Any) -> None:
+        self._record(act(kind, name, reason, now=self._now(), **more))
 
     def _record(self, *acts: Act) -> None:
         """Write acts to the journal, and carry them out."""
@@ -455,13 +458,12 @@ class Server(Matches):
             name = one.entrant
             asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
             if self._must_ask(one) and clock - asked > _ABSENT_SECONDS:
-                why = "its program has stopped asking for it"
-                self._record(act(journal.CANCEL, name, why, now=now, number=one.number))
+                self._act(journal.CANCEL, name, "its program has stopped asking for it", number=one.number)
         if state.closed is None and state.season.opens <= now < state.season.closes:
             for name in self._named.keys() & state.entrants.keys():
                 entrant = state.entrants[name]
                 if not (entrant.attempts or entrant.excluded or self._has_key(name)):
-                    self._record(act(journal.REQUEST, name, "its first", now=now, number=1))
+                    self._act(journal.REQUEST, name, "its first", number=1)
         for one in schedule.next_attempts(state, now, self._is_ready):
             self._begin(one)
         for slot in list(self._slots.values()):
@@ -570,13 +572,13 @@ class Server(Matches):
 
     def _end(self, slot: _Slot) -> None:
         """Record that an attempt is over, and pause an entrant that fails again and again."""
-        name, now = slot.entrant.name, self._now()
-        self._record(act(journal.OVER, name, slot.forfeit, now=now, number=slot.attempt.number))
+        name = slot.entrant.name
+        self._act(journal.OVER, name, slot.forfeit, number=slot.attempt.number)
         most = self._state.season.failures
         entrant = self._state.entrants[name]
-        if entrant.failed >= most and not entrant.paused:
+        if entrant.failed >= most and not entrant.paused and self._state.closed is None:
             why = f"it has forfeited {most} attempts in a row, the last in {slot.forfeit}"
-            self._record(act(journal.PAUSE, name, why, now=now, number=most))
+            self._act(journal.PAUSE, name, why, number=most)
 
     def _fail(self, slot: _Slot, why: str) -> None:
         """Record that an attempt has failed, not by its entrant's fault, and let another wait for it."""
@@ -632,8 +634,9 @@ class Server(Matches):
             else:
                 self._go_on(slot)
         elif slot.resumed and self._forfeits.get(trial_id, "").startswith(NOT_CONNECTED):
-            super().end(trial_id, "the server was restarted, and its program did not come back")
-            self._fail(slot, "the server was restarted, and its program did not come back")
+            why = "the server was restarted, and its program did not come back"
+            super().end(trial_id, why)
+            self._fail(slot, why)
         else:
             outcome = self._finish(trial_id)
             slot.resumed = False

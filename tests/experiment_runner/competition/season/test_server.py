@@ -178,6 +178,17 @@ def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(sea
     assert season.state.entrants["alice"].failed == 0
 
 
+def test_nobody_is_paused_for_the_final_by_an_attempt_that_ends_after_the_season(season: Season) -> None:
+    season.enrol("alice")
+    season.executor.agents["alice"] = Raising()
+    season.attempt("alice")
+    season.ask(Attempt("alice"))
+    season.act("close")
+    season.turns()
+    assert season.states("alice") == {1: "over", 2: "over"}
+    assert season.course.paused == {}
+
+
 def test_an_exclusion_takes_effect_at_once_and_can_be_taken_back(season: Season) -> None:
     season.enrol("alice")
     season.executor.agents["alice"] = None
