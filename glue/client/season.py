@@ -46,9 +46,6 @@ _UPLOAD_SECONDS: Final = 3600.0
 """Time to send an image, and for the season to check it and load it."""
 
 _MOST_SHOWN: Final = 300
-_MOST_FAILURES: Final = 3
-"""Attempts in a row that may fail for a reason of the season's."""
-
 _MOST_BYTES_OF_FILE: Final = 2**16
 _POLL_SECONDS: Final = 1.0
 _LONGEST_POLL: Final = 10.0
@@ -321,7 +318,9 @@ class Season:
         self._page.ask("PUT", "image", file, self._key.pair, self.membership.name, _UPLOAD_SECONDS)
 
     def play(self, serve: Serve | None, say: Callable[[str], None]) -> Progress:
-        """Play an attempt: wait for its turn, play every trial, and return what the page says of it.
+        """Play an attempt: wait for its turn, play every trial, and return what the page says at its end.
+
+        One that fails for a reason of the season's is followed by another, of which the page tells then.
 
         Args:
             serve: plays a trial; None if only an image can.
@@ -331,16 +330,8 @@ class Season:
             SeasonRefused: no attempt is granted now.
             SeasonBusy: the page has not answered for a long time.
         """
-        for _ in range(_MOST_FAILURES):
-            reply = self._follow(self._attempt(0, say), serve, say)
-            if reply.outcome != "ours":
-                break
-            say(f"{reply}; it does not count")
-        return reply
-
-    def _follow(self, reply: Progress, serve: Serve | None, say: Callable[[str], None]) -> Progress:
-        """Play the attempt that a reply is about; return the reply when it is over."""
-        number, told = reply.attempt, ""
+        reply, told = self._attempt(0, say), ""
+        number = reply.attempt
         while reply.state != "over":
             if str(reply) != told:
                 told = str(reply)
