@@ -28,9 +28,7 @@ def metrics_of(state: State, status: Mapping[str, Any] | None) -> tuple[bytes, s
     def gauge(name: str, text: str, value: float) -> None:
         prometheus.Gauge(f"glue_season_{name}", text, registry=registry).set(value)
 
-    states = Counter[str]()
-    for entrant in state.entrants.values():
-        states.update(one.state for one in entrant.attempts.values())
+    states = Counter(one.state for entrant in state.entrants.values() for one in entrant.attempts.values())
     gauge("entrants", "Entrants that have enrolled.", len(state.entrants))
     attempts = prometheus.Gauge("glue_season_attempts", "Attempts by state.", ["state"], registry=registry)
     for name, number in states.items():
