@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -209,38 +209,32 @@ ACTS: Final = (
 
 
 def organise(directory: Path, kind: str, **wish: Any) -> None:
-    """Carry out a wish of the organiser, by the server of the run if there is one, and show the acts.
+    """Carry out a wish of the organiser, by the server of the run if there is one, and show the acts: without
+    one, they are written to the journal here.
 
     Raises:
         ExperimentError: it is refused, or the directory holds no competition.
     """
-    from experiment_runner.competition.season.control import NoServer, ask
+    from experiment_runner.competition.board.forms import line_of
+    from experiment_runner.competition.course import course_of
+    from experiment_runner.competition.records.journal import utc_now
+    from experiment_runner.competition.records.seal import check_seal, record_acts, seal
+    from experiment_runner.competition.season.acts import acts_for
+    from experiment_runner.competition.season.control import NoServer, Organise, ask
+    from experiment_runner.store.store import Store
 
     try:
         reply = ask(directory, {"do": "act", "act": kind, **wish})
     except NoServer:
-        lines = _by_itself(directory, kind, wish)
+        with Store.open(directory) as store:
+            seal(store)
+            check_seal(store)
+            acts = acts_for(Organise(kind, **wish), course_of(directory), store.outcomes(), utc_now())
+            record_acts(store, acts)
+        lines = [line_of(one) for one in acts]
     else:
         if not reply["ok"]:
             raise ExperimentError(one_line(str(reply["error"])))
         lines = reply["acts"]
     for line in lines:
         say(line)
-
-
-def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]:
-    """Write the acts of a wish to the journal of a run that nobody holds."""
-    from experiment_runner.competition.board.forms import line_of
-    from experiment_runner.competition.course import course_of
-    from experiment_runner.competition.records.journal import utc_now
-    from experiment_runner.competition.records.seal import check_seal, record_acts, seal
-    from experiment_runner.competition.season.acts import acts_for
-    from experiment_runner.competition.season.control import Organise
-    from experiment_runner.store.store import Store
-
-    with Store.open(directory) as store:
-        seal(store)
-        check_seal(store)
-        acts = acts_for(Organise(kind, **wish), course_of(directory), store.outcomes(), utc_now())
-        record_acts(store, acts)
-    return [line_of(one) for one in acts]

@@ -148,6 +148,8 @@ def _answering(endpoint: _Endpoint) -> Callable[[Request], Awaitable[Response]]:
             if error.seconds:
                 headers["Retry-After"] = str(math.ceil(error.seconds))
             return JSONResponse({"error": str(error)}, error.status, headers)
+        except Unsigned as error:
+            return JSONResponse({"error": f"the request {error}"}, 403, headers)
         except ClientDisconnect:
             return Response(status_code=400)  # nobody reads it
         except GlueError as error:
@@ -173,11 +175,9 @@ class _Entrance:
         body = await self._json(request)
         try:
             key = decode(str(body.get("key")))
-            check(key, request.method, request.url.path, request.headers, self._now())
         except ValueError:
             raise Denied("key is not a public key as glue-keys writes it") from None
-        except Unsigned as error:
-            raise Denied(f"the request {error}", 403) from None
+        check(key, request.method, request.url.path, request.headers, self._now())
         return await self._ask({**body, "do": "enrol"})
 
     def passing(self, do: str) -> _Endpoint:
@@ -239,25 +239,23 @@ class _Entrance:
         """Return the entrant that has signed a request.
 
         Raises:
-            Denied: nobody has, or it asks too often.
+            Unsigned: nobody has, or the request has come before.
+        Denied: there is no such entrant, it asks too often, or the page was started since.
         """
         self._of_address.take(address_of(request))
-        entrant = request.headers.get(ENTRANT, "")
+        entrant: str = request.headers.get(ENTRANT, "")
         if not entrant or len(entrant) > _MOST_LETTERS or not entrant.isascii():
             raise Denied(f"the request needs the header {ENTRANT}: the name of the entrant", 403)
         key = (await self._ask({"do": "key", "entrant": entrant})).get("key")
         if not isinstance(key, str):
             raise Denied(f"there is no entrant {one_line(entrant)} in this season: glue-compete join", 403)
         now = self._now()
-        try:
-            check(decode(key), request.method, request.url.path, request.headers, now)
-            self._of_entrant.take(entrant)
-            if request.headers.get(START) != self._start:  # an earlier page may have had it
-                raise Denied("the request was signed for another start of the page: sign it anew", STARTED)
-            self._once.remember(request.headers, now)
-        except Unsigned as error:
-            raise Denied(f"the request {error}", 403) from None
-        return str(entrant)
+        check(decode(key), request.method, request.url.path, request.headers, now)
+        self._of_entrant.take(entrant)
+        if request.headers.get(START) != self._start:  # an earlier page may have had it
+            raise Denied("the request was signed for another start of the page: sign it anew", STARTED)
+        self._once.remember(request.headers, now)
+        return entrant
 
     async def _json(self, request: Request) -> Mapping[str, Any]:
         """Return the body of a request, if it is what was signed."""
