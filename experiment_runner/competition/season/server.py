@@ -36,7 +36,7 @@ from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
-from experiment_runner.competition.season.worker import Replay, Verified
+from experiment_runner.competition.season.worker import Replay
 from experiment_runner.competition.settings import (
     NAMES,
     Competition,
@@ -610,8 +610,8 @@ class Server(Matches):
 
     def take(self, trial_id: str, report: Any) -> None:
         """Store a report."""
-        if isinstance(report, Verified):
-            self._jobs[trial_id].verdict = report.verdict
+        if isinstance(report, ReplayVerdict):
+            self._jobs[trial_id].verdict = report
         else:
             super().take(trial_id, report)
 

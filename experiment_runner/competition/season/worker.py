@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, Self
 
 from experiment_runner.competition import match
 from experiment_runner.competition.match import Match, play
@@ -41,13 +41,7 @@ class Replay:
     steps: int
 
 
-class Verified(NamedTuple):
-    """A trial was replayed."""
-
-    verdict: ReplayVerdict
-
-
-REPORTS: Final[Mapping[str, type[Any]]] = {**match.REPORTS, Verified.__name__: Verified}
+REPORTS: Final[Mapping[str, type[Any]]] = {**match.REPORTS, ReplayVerdict.__name__: ReplayVerdict}
 """The reports of both, by name."""
 
 
@@ -58,7 +52,7 @@ def work(value: Any, send: Callable[[object], None]) -> None:
             play(job, send, starter_for(job.entrant))
         case Replay() as job:
             with Results.open(job.directory) as results:
-                send(Verified(judge(results, job.spec, job.outcome, job.steps)))
+                send(judge(results, job.spec, job.outcome, job.steps))
             send(Ended(None))
 
 
