@@ -239,7 +239,7 @@ def board(directory: Path, form: str, season: bool, reveal: bool, signed_by: str
 def bundle(directory: Path, out: Path) -> None:
     """Write into OUT everything of the run in DIR with which others can verify it, when its season is closed.
 
-    These are the file, journal, seal, database, records and boards: neither keys nor logs.
+    These are the file, journal, seal, database, records, levels in files and boards: neither keys nor logs.
     """
     from experiment_runner.competition.season.bundle import bundle as write_bundle
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from experiment_runner.competition.course import Course, course_of
+from experiment_runner.competition.records.copies import with_copies
 from experiment_runner.competition.records.record import record_path
 from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards
 from experiment_runner.competition.state import State
@@ -138,7 +139,7 @@ class Views:
         with Results.open(self.directory) as results:
             spec = next(one.spec for one in results.trials() if one.spec.id == found)
         name = f"{shown}, attempt {attempt}: {task}, trial {trial}"
-        return replayed(name, spec, record_path(self.directory, found), episode)
+        return replayed(name, with_copies(spec, self.directory), record_path(self.directory, found), episode)
 
     def _trials(self, viewer: str, shown: str, attempt: int) -> dict[tuple[str, int], TrialId]:
         """Return the trials of a verified attempt, of tasks that this viewer may know, by task and number."""
