@@ -54,7 +54,7 @@ def keyed(tmp_path: Path) -> Keyed:
 
 
 def test_all_roles_play_with_their_keys_and_go_on_when_connections_are_cut(keyed: Keyed) -> None:
-    with keyed.hub() as url, Proxy(int(url.rpartition(":")[2]), cuts=CUTS).in_background() as proxy:
+    with keyed.hub() as url, Proxy(url, CUTS).in_background() as proxy:
         commands = {role: CPP.programs[example] for role, example in ROLES.items()}
         experiment = [*commands["experiment"], str(EPISODES), str(SEED)]
         with (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -155,6 +156,21 @@ def test_there_and_back_again(name: str, way: Callable[[str], AbstractContextMan
             over = outcome[1] or outcome[2]
         with pytest.raises(SimulatorError, match="call reset"):
             env.step(action)
+
+
+def test_a_session_that_was_left_takes_the_next_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+    failed: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    earlier: set[threading.Thread] = set()
+    with hub_with(make("gymnasium:CartPole-v1")) as hub:
+        for _ in range(2):
+            env = glue.gym.connect(hub)
+            new = {one for one in threading.enumerate() if one.name == "stand-in agent"} - earlier
+            earlier |= new
+            env.close()
+        for stand_in in new:
+            stand_in.join()
+    assert failed == []
 
 
 def test_check_env_passes_for_an_environment_behind_a_hub() -> None:

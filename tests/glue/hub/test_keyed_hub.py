@@ -165,7 +165,7 @@ def test_handshakes_that_are_cut_are_tried_again_however_often(
 ) -> None:
     with (
         serving(folder) as hub,
-        Proxy(int(hub.endpoints[0].rpartition(":")[2])).in_background() as proxy,
+        Proxy(hub.endpoints[0]).in_background() as proxy,
     ):
         proxy.cut(*CUTS)
         with connect(

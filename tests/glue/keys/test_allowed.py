@@ -84,6 +84,7 @@ def test_what_a_key_may_be_is_never_read_from_the_file_that_its_owner_sent(folde
         ('[carol]\nrole = "agent"\nkey = 1', "key should be"),
         ('[carol]\nrole = "agent"\nkey = "nowhere.pub"', "neither a file nor a key"),
         ('[nobody]\nrole = "agent"', r"has no key: put the file that its owner sent there, as .*nobody\.key"),
+        ('["a\\u0000b"]\nrole = "agent"', r"\[a.b\] has no key"),
         ('[carol]\nrole = "agent"\n[c]\nkey = "carol.key"\nrole = "agent"', "carol and c have the same key"),
     ],
 )
@@ -91,6 +92,34 @@ def test_a_mistake_in_the_list_names_file_and_table(folder: KeyFolder, text: str
     folder.entrant("carol")
     folder.allow(text)
     assert str(folder.path / "allow.toml") in str(refused(folder, what))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'["{"x" * 300}"]\nrole = "agent"',
+        f"[carol]\nrole = {'[' * 5000}{']' * 5000}",
+        f"[carol]\nrole{'.a' * 5000} = 1",
+    ],
+    ids=["name", "arrays", "keys"],
+)
+def test_a_list_beyond_all_measure_is_refused_in_a_line(folder: KeyFolder, text: str) -> None:
+    folder.entrant("carol")
+    folder.allow(text)
+    with pytest.raises(ConfigError, match=rf"^cannot read the keys in {folder.path}: \w+[\w ]*$"):
+        read_keys(folder.path)
+
+
+def test_a_list_that_is_no_file_is_refused(folder: KeyFolder) -> None:
+    listed = folder.path / "allow.toml"
+    listed.unlink()
+    os.mkfifo(listed)
+    with pytest.raises(ConfigError, match="no regular file"):
+        read_keys(folder.path)
+    listed.unlink()
+    listed.symlink_to(listed)
+    with pytest.raises(ConfigError, match="symbolic links lead to it"):
+        read_keys(folder.path)
 
 
 def test_a_directory_that_is_not_ready_is_refused_with_the_next_step(folder: KeyFolder) -> None:

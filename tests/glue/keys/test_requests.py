@@ -7,7 +7,7 @@ import hashlib
 import pytest
 
 from glue.client.libzmq import new_pair
-from glue.keys.requests import DIGEST, ENTRANT, SECONDS, SIGNATURE, TIME, Once, Unsigned, check, signed
+from glue.keys.requests import DIGEST, ENTRANT, SECONDS, SIGNATURE, START, TIME, Once, Unsigned, check, signed
 
 PAIR = new_pair()
 DIGEST_OF_BODY = hashlib.sha256(b"body").hexdigest()
@@ -15,7 +15,7 @@ NOW = 1_800_000_000.5
 
 
 def request() -> dict[str, str]:
-    return signed(PAIR, "alice", "POST", "/season/api/attempt", DIGEST_OF_BODY, NOW)
+    return signed(PAIR, "alice", "POST", "/season/api/attempt", DIGEST_OF_BODY, "first", NOW)
 
 
 @pytest.mark.parametrize("now", [NOW, NOW - SECONDS + 1, NOW + SECONDS - 1])
@@ -31,6 +31,7 @@ UNSIGNED, MALFORMED = "not signed with the key", "Glue-Digest and Glue-Signature
     [
         (ENTRANT, "bob", UNSIGNED),
         (TIME, str(int(NOW) + 1), UNSIGNED),
+        (START, "second", UNSIGNED),
         *((TIME, text, "set your clock") for text in ("x", "9" * 5000, "²", "-5")),
         (DIGEST, hashlib.sha256(b"other").hexdigest(), UNSIGNED),
         *((DIGEST, text, MALFORMED) for text in ("0", "é" * 64)),
