@@ -9,18 +9,18 @@ from typing import Final
 
 from glue.engine.engine import EPISODE_VERBS
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.legacy.codec import FROM_EXPERIMENT, Control, Frame, encode
+from glue.legacy.codec import FROM, Control, Frame, encode
 from glue.legacy.peers import BASE, LegacyPeer
 from glue.legacy.states import EXPERIMENT, ExperimentEvent, ExperimentState
 from glue.types import Action, body_size
-from glue.wire.messages import Event, Kind, Message
+from glue.wire.messages import Event, Kind, Message, Role
 
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _IDLE: Final = ExperimentState.IDLE
 _WAITING: Final = EXPERIMENT[_IDLE][ExperimentEvent.REQUEST]
 _REPLIED: Final = EXPERIMENT[_WAITING][ExperimentEvent.REPLY]
 _RL_STEP: Final = Kind.RL_STEP
-_STEP: Final = encode(Frame(_RL_STEP), FROM_EXPERIMENT)
+_STEP: Final = encode(Frame(_RL_STEP), FROM[Role.EXPERIMENT])
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""

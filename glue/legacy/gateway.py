@@ -33,32 +33,12 @@ from glue.hub.io.connection import Connection
 from glue.hub.io.listener import Listener, OpenAddress, open_address
 from glue.hub.io.log import Log
 from glue.hub.io.server import Hub
-from glue.legacy.codec import (
-    FROM_AGENT,
-    FROM_ENVIRONMENT,
-    FROM_EXPERIMENT,
-    HANDSHAKE,
-    Control,
-    Decoder,
-    Vocabulary,
-)
+from glue.legacy.codec import FROM, HANDSHAKE, Decoder
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.peers import LegacyPlayer
 from glue.legacy.pending import Pending
 from glue.system import network
-from glue.wire.messages import Kind, Role
-
-_ROLES: Final[Mapping[Kind | Control, Role]] = {
-    Control.CONNECT_AGENT: Role.AGENT,
-    Control.CONNECT_ENVIRONMENT: Role.ENVIRONMENT,
-    Control.CONNECT_EXPERIMENT: Role.EXPERIMENT,
-}
-_FROM: Final[Mapping[Role, Vocabulary]] = {
-    Role.AGENT: FROM_AGENT,
-    Role.ENVIRONMENT: FROM_ENVIRONMENT,
-    Role.EXPERIMENT: FROM_EXPERIMENT,
-}
-
+from glue.wire.messages import Role
 
 _NONE: Final[Mapping[LegacyPort, OpenAddress]] = {}
 
@@ -157,8 +137,8 @@ class _Handshake:
             return
         if frame is not None:
             self._pending.remove(connection)
-            role = _ROLES[frame.kind]
-            decoder.expect(_FROM[role])
+            role = Role[frame.kind.name.removeprefix("CONNECT_")]
+            decoder.expect(FROM[role])
             peer = LegacyExperiment if role is Role.EXPERIMENT else LegacyPlayer
             peer(self._pending, connection, decoder, role, self._port).join(now)
 
