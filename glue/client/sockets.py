@@ -55,24 +55,19 @@ class Transport(Protocol):
     @property
     def connected(self) -> bool:
         """Whether there is a connection, as far as `receive_message` has noticed."""
-        ...
 
     @property
     def connections(self) -> int:
         """Number of connections so far, including this one; the hub has to be greeted over each."""
-        ...
 
     def wait_at_most(self, seconds: float) -> None:
         """Set how long `receive_message` waits."""
-        ...
 
     def spin_with(self, spin: Spin) -> None:
         """Let `spin` decide whether to poll for a message before sleeping, if that is possible here."""
-        ...
 
     def send_message(self, message: Message) -> bool:
         """Send a message; return False, having sent nothing, if there is no connection or no room."""
-        ...
 
     def receive_message(self, max_body: int) -> Message | None:
         """Return the next message; None if none arrived in time, or as soon as there is a connection.
@@ -81,11 +76,9 @@ class Transport(Protocol):
             UnknownKind: the message is of an unknown kind.
             RemoteProtocolError: it is malformed, or its body has more than `max_body` bytes.
         """
-        ...
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the last messages at most `linger` seconds (by default one) to leave."""
-        ...
 
 
 class SocketTransport:

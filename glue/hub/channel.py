@@ -15,11 +15,9 @@ class Channel(Protocol):
 
     def deliver(self, message: Message) -> bool:
         """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
-        ...
 
     def admits(self, role: Role, session: str) -> bool:
         """Return whether a peer of this channel may join `session` as `role`; see `glue.hub.config.Bind`."""
-        ...
 
 
 class Holder(Protocol):
@@ -28,11 +26,9 @@ class Holder(Protocol):
     @property
     def in_session(self) -> bool:
         """Whether it takes part in a session; holders that do not, and are not small, are evicted first."""
-        ...
 
     def evict(self, why: str) -> None:
         """Release all memory used for it, and send its peers the reason."""
-        ...
 
 
 class Memory:

@@ -93,15 +93,12 @@ class Host(Protocol):
 
     def deliver(self, peer: Peer, message: Message) -> None:
         """Send `message` to `peer`, or note that the peer cannot be reached."""
-        ...
 
     def end(self, session: Session, why: str) -> None:
         """End a session: say goodbye to all its peers."""
-        ...
 
     def dismiss(self, player: Peer, why: str) -> None:
         """Say goodbye to a failed player, and continue without it; `why` completes a sentence about it."""
-        ...
 
 
 class Session:

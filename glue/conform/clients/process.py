@@ -22,19 +22,15 @@ class Client(Protocol):
 
     def wait(self, seconds: float) -> int | None:
         """Return the exit code, negative for a signal; None if the client does not end within `seconds`."""
-        ...
 
     def kill(self) -> None:
         """Kill the client."""
-        ...
 
     def output(self) -> str:
         """Return the client's output so far."""
-        ...
 
     def awake(self) -> bool | None:
         """Return whether the client is running or runnable; None if unknown."""
-        ...
 
 
 Start = Callable[[str, str], Client]

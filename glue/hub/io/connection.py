@@ -35,11 +35,9 @@ class Owner(Protocol):
 
         If it raises, the error is logged and the connection reset.
         """
-        ...
 
     def failed(self, now: float) -> None:
         """Forget the connection, which was reset because `ready` raised."""
-        ...
 
 
 class Connection:
