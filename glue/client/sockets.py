@@ -18,7 +18,7 @@ from glue.client.target import OwnKey, needs_key, needs_no_key, unknown_key, wro
 from glue.errors import ConfigError, Refused, RemoteProtocolError
 from glue.hub.config import check_url
 from glue.system import clock, network
-from glue.system.sockets import limit_silence, probe_when_silent, unix_address
+from glue.system.sockets import limit_silence, never_wait, probe_when_silent, unix_address, wait_for
 from glue.system.spinning import Spin
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
@@ -319,7 +319,8 @@ class SocketTransport:
             if self._socket is None:
                 self._socket = _connect(self._url)
             left = max(0.0, self._deadline - now)
-            if not _wait_for(self._socket, self._greeted, min(left, self._wait)):
+            events = network.POLLIN if self._greeted else network.POLLOUT
+            if not wait_for(self._socket, events, min(left, self._wait)):
                 if left <= self._wait:
                     self._fail()
                 return None
@@ -417,9 +418,7 @@ def _connect(url: str) -> network.socket:
         address = network.getaddrinfo(host.strip("[]"), int(port), family, network.SOCK_STREAM)[0][4]
     connecting = network.socket(family)
     try:
-        connecting.setblocking(False)
-        if family != network.AF_UNIX:
-            connecting.setsockopt(network.IPPROTO_TCP, network.TCP_NODELAY, 1)
+        never_wait(connecting)
         connecting.connect(address)
     except BlockingIOError:
         pass  # under way
@@ -427,10 +426,3 @@ def _connect(url: str) -> network.socket:
         connecting.close()
         raise
     return connecting
-
-
-def _wait_for(waiting: network.socket, readable: bool, seconds: float) -> bool:
-    """Return whether a socket becomes readable or, unless `readable`, writable in time."""
-    poller = network.poll()
-    poller.register(waiting, network.POLLIN if readable else network.POLLOUT)
-    return bool(poller.poll(seconds * 1000))

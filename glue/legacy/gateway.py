@@ -29,7 +29,7 @@ from typing import Final
 
 from glue.errors import RemoteProtocolError
 from glue.hub.config import LegacyPort
-from glue.hub.io.connection import Connection
+from glue.hub.io.connection import Connection, Owner
 from glue.hub.io.listener import Listener, OpenAddress, open_address
 from glue.hub.io.log import Log
 from glue.hub.io.server import Hub
@@ -108,7 +108,7 @@ def open_legacy_port(port: LegacyPort) -> OpenAddress:
     return open_address(f"tcp://{host}:{port.port or '*'}", "legacy_port")
 
 
-class _Handshake:
+class _Handshake(Owner):
     """A connection that has not stated its role yet."""
 
     def __init__(self, pending: Pending, connection: Connection, port: LegacyPort) -> None:
@@ -141,9 +141,6 @@ class _Handshake:
             decoder.expect(FROM[role])
             peer = LegacyExperiment if role is Role.EXPERIMENT else LegacyPlayer
             peer(self._pending, connection, decoder, role, self._port).join(now)
-
-    def failed(self, now: float) -> None:
-        """Do nothing: it had no role."""
 
     def _time_out(self, now: float) -> None:
         self._pending.drop(self._connection, "it did not say which role it is to have", "", now)

@@ -10,7 +10,7 @@ from typing import Final
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.hub.config import LegacyPort
-from glue.hub.io.connection import Connection
+from glue.hub.io.connection import Connection, Owner
 from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.legacy.codec import HEAD_SIZE, TO, Decoder, Frame, encode
 from glue.legacy.pending import Pending
@@ -37,7 +37,7 @@ _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
 
 
-class LegacyPeer:
+class LegacyPeer(Owner):
     """An original program in its role; a channel of the sessions."""
 
     def __init__(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,13 +10,12 @@ from typing import Final
 from glue.conform.rules import Broken
 from glue.errors import RemoteProtocolError
 from glue.system import clock, network
+from glue.system.sockets import never_wait, reset_when_closed, wait_for
 from glue.wire import zmtp
 from glue.wire.messages import MAX_BODY, MAX_HEADER
 
 _CHUNK: Final = 65_536
 _MAX_FRAME: Final = 2 * MAX_BODY + MAX_HEADER
-_RESET: Final = struct.pack("ii", 1, 0)
-"""SO_LINGER: unsent data is dropped, and the other side sees a reset."""
 
 
 class Gone(Exception):
@@ -79,7 +77,7 @@ class Listener:
     def waits(self, seconds: float) -> bool:
         """Return whether a connection can be accepted within `seconds`."""
         assert self._socket is not None
-        return _ready(self._socket, network.POLLIN, seconds)
+        return wait_for(self._socket, network.POLLIN, seconds)
 
     @property
     def _path(self) -> Path:
@@ -91,9 +89,7 @@ class Connection:
     """One connection."""
 
     def __init__(self, connected: network.socket) -> None:
-        connected.setblocking(False)
-        if connected.family != network.AF_UNIX:
-            connected.setsockopt(network.IPPROTO_TCP, network.TCP_NODELAY, 1)
+        never_wait(connected)
         self._socket = connected
         self._decoder = zmtp.Decoder(zmtp.ROUTER, _MAX_FRAME)
         self._raw = b""  # bytes received in the handshake
@@ -150,7 +146,7 @@ class Connection:
             try:
                 rest = rest[self._socket.send(rest) :]
             except BlockingIOError:
-                _ready(self._socket, network.POLLIN | network.POLLOUT, 1.0)
+                wait_for(self._socket, network.POLLIN | network.POLLOUT, 1.0)
                 self._read(clock.monotonic())
                 if clock.monotonic() > deadline:
                     raise Broken("a client that reads", f"{len(rest)} bytes that it has not read") from None
@@ -196,7 +192,7 @@ class Connection:
 
         Only for use while no message is under way.
         """
-        _ready(self._socket, network.POLLIN, wait)
+        wait_for(self._socket, network.POLLIN, wait)
         try:
             data = self._socket.recv(_CHUNK)
         except BlockingIOError:
@@ -220,7 +216,7 @@ class Connection:
     def close(self, reset: bool = False) -> None:
         """Close the connection; with `reset`, as when a program is killed."""
         if reset:
-            self._socket.setsockopt(network.SOL_SOCKET, network.SO_LINGER, _RESET)
+            reset_when_closed(self._socket)
         self._socket.close()
 
     def _read(self, deadline: float) -> bool:
@@ -230,10 +226,3 @@ class Connection:
         self._heard += data
         self._decoder.receive_data(data)
         return bool(data)
-
-
-def _ready(socket: network.socket, events: int, seconds: float) -> bool:
-    """Return whether one of these events of a socket occurs within `seconds`."""
-    poller = network.poll()
-    poller.register(socket, events)
-    return bool(poller.poll(max(0.0, seconds) * 1000))
