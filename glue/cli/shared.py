@@ -125,15 +125,10 @@ def prepare(command: click.Command) -> None:
 
 
 class _Printer(logging.Handler):
+    """The printer of the log of a hub's clients."""
+
     def emit(self, record: logging.LogRecord) -> None:
         say(record.getMessage())
-
-
-def _print_log() -> None:
-    """Print the log of a hub's clients."""
-    LOG.addHandler(_Printer())
-    LOG.setLevel(logging.INFO)
-    LOG.propagate = False
 
 
 def run(command: click.Command) -> NoReturn:
@@ -142,7 +137,9 @@ def run(command: click.Command) -> NoReturn:
     Every option can be set by an environment variable, such as GLUE_EXPERIMENT_EPISODES for `--episodes` of
     glue-experiment, unless it declares another one.
     """
-    _print_log()
+    LOG.addHandler(_Printer())
+    LOG.setLevel(logging.INFO)
+    LOG.propagate = False
     prepare(command)
     prefix = (command.name or "").upper().replace("-", "_")
     try:

@@ -11,8 +11,8 @@ import numpy as np
 
 from glue.conform import forms
 from glue.conform.clients.connection import Gone
-from glue.conform.clients.experiment_harness import BOTH, DONE, SEEN, SPEC, ExperimentHarness, Order
-from glue.conform.clients.harness import MAX_BODY, Harness
+from glue.conform.clients.experiment_harness import BOTH, DONE, SEEN, ExperimentHarness, Order
+from glue.conform.clients.harness import MAX_BODY, SPEC, Harness
 from glue.conform.clients.mirror import result
 from glue.conform.messages import described, same
 from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier

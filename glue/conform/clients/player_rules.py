@@ -52,8 +52,7 @@ def before_init(kit: PlayerHarness) -> None:
 def doubles(kit: PlayerHarness) -> None:
     """Doubles keep all their bits: negative zero, NaN, infinities."""
     kit.steps(Observation([], forms.DOUBLES), *(Observation([], [number]) for number in forms.DOUBLES))
-    exchange = kit.step(SHOWN, reward=-0.1)  # The reward goes from the header into the doubles.
-    kit.run(exchange)
+    kit.run(kit.step(SHOWN, reward=-0.1))  # The reward goes from the header into the doubles.
 
 
 @RULES.add(Tier.PLAYS, "bodies", mirror=True)

@@ -40,10 +40,7 @@ Start = Callable[[str, str], Client]
 def starter(command: Sequence[str]) -> Start:
     """Return a function that starts `command` with GLUE_HUB and GLUE_SESSION."""
 
-    def start(hub: str, session: str) -> Client:
-        return ClientProcess(command, {"GLUE_HUB": hub, "GLUE_SESSION": session})
-
-    return start
+    return lambda hub, session: ClientProcess(command, {"GLUE_HUB": hub, "GLUE_SESSION": session})
 
 
 class ClientProcess:

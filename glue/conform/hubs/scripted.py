@@ -136,18 +136,10 @@ class ScriptedPeer:
                 raise self.broken(f"{described(message)}{where} received instead of {expected}")
         raise self.broken(f"{expected} was not received in time")
 
-    def expects_error(self, code: ErrorCode, seq: int | None = None) -> None:
+    def expects_error(self, code: ErrorCode, seq: int, session: str | None = None) -> None:
         """Expect an ERROR of this code."""
-        error = self.expects(Kind.ERROR, seq)
+        error = self.expects(Kind.ERROR, seq, session=session)
         self.check(error.scalars[0] == code, f"{described(error)} received instead of the error {code}")
-
-    def expects_malformed(self) -> None:
-        """Expect the reply to a malformed message."""
-        error = self.expects(Kind.ERROR, 0, session="")
-        self.check(
-            error.scalars[0] == ErrorCode.MALFORMED,
-            f"{described(error)} received instead of the error malformed",
-        )
 
     def expects_notice(self, event: Event, role: Role) -> None:
         """Expect a NOTICE, which may have come already."""
