@@ -146,7 +146,8 @@ def make_games(
     for name in ("level_seed", "level"):
         if chosen is not None and name in options:
             raise ConfigError(f"{name} is one level: leave it out, or levels, num_levels and start_level")
-    options = {name: _plain(value) for name, value in options.items()}
+    # NumPy's numbers become Python's.
+    options = {name: v.item() if isinstance(v, np.generic) else v for name, v in options.items()}
     return Games(
         [check_parameters(options)] * count,
         VIEWS[view],
@@ -158,8 +159,3 @@ def make_games(
         level_difficulty=options.get("level_difficulty", -1),
         finals=mode == SAME_STEP,
     )
-
-
-def _plain(value: Any) -> Any:
-    """Return a NumPy number as a Python number, and any other value unchanged."""
-    return value.item() if isinstance(value, np.generic) else value

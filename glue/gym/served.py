@@ -185,7 +185,10 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
         ConfigError: there is no such environment.
     """
     try:
-        spec = gymnasium.spec(_registered(name))
+        module, _, identifier = name.rpartition(":")
+        if module:
+            import_user_module(module)  # it registers the environment
+        spec = gymnasium.spec(identifier)
         creator = (
             load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
         )
@@ -243,14 +246,6 @@ def _reads_seed(creator: Any) -> bool:
     loaded = [one.argval for one in dis.get_instructions(code) if "LOAD_FAST" in one.opname]
     # One instruction of Python 3.13 loads two variables.
     return "seed" in code.co_cellvars or any("seed" in ((x,) if isinstance(x, str) else x) for x in loaded)
-
-
-def _registered(name: str) -> str:
-    """Import the module that a name begins with, also from the working directory; return the rest."""
-    module, _, identifier = name.rpartition(":")
-    if module:
-        import_user_module(module)
-    return identifier
 
 
 _OF_GAMES: Final = [

@@ -24,7 +24,7 @@ Dict, Tuple     a dict or tuple of masks; None for a Box of floats or of uint8
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import islice
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -462,14 +462,27 @@ def _read(layout: Any, space: Space) -> SpaceLike:
 
 def _read_part(layout: Any, reader: _Reader) -> SpaceLike:
     ((kind, described),) = layout.items()
-    if kind == "Dict":
-        return spaces.Dict({key: _read_part(described[key], reader) for key in sorted(described)})
-    if kind == "Tuple":
-        return spaces.Tuple([_read_part(part, reader) for part in described])
-    read = _KINDS.get(kind)
-    if read is None:
-        raise ValueError(f"there is no kind {kind!r:.40}")
-    return read(described, reader)
+    match kind:
+        case "Dict":
+            return spaces.Dict({key: _read_part(described[key], reader) for key in sorted(described)})
+        case "Tuple":
+            return spaces.Tuple([_read_part(part, reader) for part in described])
+        case "Discrete":
+            low, high = reader.take(INT, ()).astype(np.int64).tolist()
+            dtype = _integers(described)
+            # Gymnasium 1.0 has no other dtype.
+            other: dict[str, Any] = {} if dtype == np.int64 else {"dtype": dtype}
+            return spaces.Discrete(high - low + 1, start=low, **other)
+        case "MultiDiscrete":
+            low, high = reader.take(INT, _shape(described)).astype(np.int64)
+            return spaces.MultiDiscrete(high - low + 1, dtype=_integers(described[1]), start=low)
+        case "MultiBinary":
+            shape = _shape(described)
+            reader.take(INT, shape)
+            return spaces.MultiBinary(shape if len(shape) != 1 else shape[0])
+        case "Box":
+            return _read_box(described, reader)
+    raise ValueError(f"there is no kind {kind!r:.40}")
 
 
 def _shape(described: Any) -> tuple[int, ...]:
@@ -479,37 +492,14 @@ def _shape(described: Any) -> tuple[int, ...]:
     return shape
 
 
-def _read_discrete(described: Any, reader: _Reader) -> SpaceLike:
-    low, high = reader.take(INT, ()).astype(np.int64).tolist()
-    dtype = _integers(described)
-    # Gymnasium 1.0 has no other dtype.
-    other: dict[str, Any] = {} if dtype == np.int64 else {"dtype": dtype}
-    return spaces.Discrete(high - low + 1, start=low, **other)
-
-
-def _read_multi_discrete(described: Any, reader: _Reader) -> SpaceLike:
-    low, high = reader.take(INT, _shape(described)).astype(np.int64)
-    return spaces.MultiDiscrete(high - low + 1, dtype=_integers(described[1]), start=low)
-
-
-def _read_multi_binary(described: Any, reader: _Reader) -> SpaceLike:
-    shape = _shape(described)
-    reader.take(INT, shape)
-    return spaces.MultiBinary(shape if len(shape) != 1 else shape[0])
-
-
 def _read_box(described: Any, reader: _Reader) -> SpaceLike:
     shape, name = _shape(described), described[1]
     if name == "uint8":
         reader.take(CHAR, shape)
         low, high = described[2:] or (0, 255)
         return spaces.Box(*(_bytes(bound, shape) for bound in (low, high)), shape, np.uint8)
-    if name in FLOATS:
-        dtype = np.dtype(name)
-        low, high = reader.take(DOUBLE, shape)
-        return spaces.Box(low.astype(dtype), high.astype(dtype), shape, dtype.type)
-    dtype = _integers(name)
-    low, high = reader.take(INT, shape)
+    run, dtype = (DOUBLE, np.dtype(name)) if name in FLOATS else (INT, _integers(name))
+    low, high = reader.take(run, shape)
     return spaces.Box(low.astype(dtype), high.astype(dtype), shape, dtype.type)
 
 
@@ -524,14 +514,6 @@ def _integers(name: Any) -> np.dtype[Any]:
     if dtype.kind not in "iu":
         raise ValueError(f"{name!r:.40} is not a type of integers")
     return dtype
-
-
-_KINDS: Final[dict[str, Callable[[Any, _Reader], SpaceLike]]] = {
-    "Discrete": _read_discrete,
-    "MultiDiscrete": _read_multi_discrete,
-    "MultiBinary": _read_multi_binary,
-    "Box": _read_box,
-}
 
 
 def _plain(space: Space) -> SpaceLike:
