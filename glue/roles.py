@@ -233,16 +233,22 @@ def capabilities(player: object) -> tuple[str, ...]:
     )
 
 
-class _Completed:
+class Wrapper:
+    """A player around another, `__wrapped__`, which has all the methods that this one has not."""
+
+    __wrapped__: Any
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__wrapped__, name)
+
+
+class _Completed(Wrapper):
     """A player completed with the methods that its class leaves out."""
 
     def __init__(self, player: Any, base: type, missing: list[str]) -> None:
         self.__wrapped__ = player
         for name in missing:
             setattr(self, name, partial(getattr(base, name), player))
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.__wrapped__, name)
 
 
 def completed(player: Any, base: type) -> Any:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from glue.errors import ConfigError, PeerFailed, TaskSpecError
-from glue.roles import BatchEnvironment, offers
+from glue.roles import BatchEnvironment, Wrapper, offers
 from glue.taskspec import Space, legal_values, mask_sizes, parse_task_spec
 from glue.types import Action, Observation, step_of
 
 
-class CheckedActions:
+class CheckedActions(Wrapper):
     """`environment`, which receives no action outside its task spec or the mask of its last observation.
 
     Args:
@@ -30,9 +30,6 @@ class CheckedActions:
         self.__wrapped__ = environment
         self._actions: Space | None = None
         self._shown = Observation()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.__wrapped__, name)
 
     def env_init(self) -> str:
         task_spec: str = self.__wrapped__.env_init()
