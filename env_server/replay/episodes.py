@@ -174,12 +174,6 @@ class GoldenEpisode:
     start: Observation | Digest
     steps: Iterator[GoldenStep]
 
-    def begin_run(self, environment: Environment) -> None:
-        """Bring a fresh environment to the start of this episode, the first of its run."""
-        environment.env_init()
-        if isinstance(environment, _Buttoned):
-            environment.buttons = self.keys
-
     def difference_before(self, environment: Environment) -> str:
         """Return how the buttons held now differ from those recorded for the start; "" if they do not."""
         if not isinstance(environment, _Buttoned) or environment.buttons == self.keys:
@@ -508,7 +502,9 @@ def _place(episode: RecordedEpisode, number: int, step: int) -> str:
 def _initialise(environment: Environment, first: RecordedEpisode) -> None:
     """Bring the environment to the start of the first episode of its run."""
     if isinstance(first, GoldenEpisode):
-        first.begin_run(environment)
+        environment.env_init()
+        if isinstance(environment, _Buttoned):
+            environment.buttons = first.keys
         return
     run = first.run
     if run.seed is not None and offers(environment, SeedableEnvironment):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from glue.client.sockets import Transport, open_transport
 from glue.client.target import OwnKey
@@ -193,10 +193,8 @@ class Link:
             self.send(Message(Kind.HELLO, session, self._greeted, scalars))
 
     def _welcome(self, message: Message) -> None:
-        _, _, heartbeat, timeout, max_body, *_ = message.scalars
-        assert isinstance(heartbeat, float)
-        assert isinstance(timeout, float)
-        assert isinstance(max_body, int)
+        scalars: Any = message.scalars
+        _, _, heartbeat, timeout, max_body, *_ = scalars
         self._heartbeat = min(max(heartbeat, 0.01), 60.0)
         self._timeout = max(timeout, self._heartbeat)
         self._max_body = min(max_body, MAX_BODY)

@@ -36,6 +36,7 @@ from gymnasium import spaces
 from glue.errors import ConfigError, SimulatorError
 from glue.taskspec import RL_GLUE_3, Range, Ranges, Space, TaskSpec, legal_values, mask_sizes
 from glue.taskspec.parser import MASKS
+from glue.taskspec.space import equal_runs
 from glue.types import AbstractType, BoolArray, Observation
 
 SpaceLike: TypeAlias = "spaces.Space[Any]"
@@ -148,7 +149,8 @@ class Codec:
             if leaf.run == CHAR:
                 chars += leaf.size
             else:
-                runs[leaf.run] += _runs(leaf)
+                ends = equal_runs(*ends_of(leaf))
+                runs[leaf.run] += [(count, Range(low, high)) for count, low, high in ends]
         return Space(Ranges(tuple(runs[INT])), Ranges(tuple(runs[DOUBLE])), chars)
 
     def pack(self, value: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64], bytes]:
@@ -239,16 +241,6 @@ def _numbers(leaf: Leaf, part: Any) -> npt.NDArray[Any]:
 
 def _long_axes(shape: tuple[int, ...]) -> list[int]:
     return [length for length in shape if length != 1]
-
-
-def _runs(leaf: Leaf) -> Iterator[tuple[int, Range]]:
-    """Yield the ranges of a leaf's numbers as runs of equal neighbours."""
-    low, high = ends_of(leaf)
-    if not leaf.size:
-        return
-    changes = np.flatnonzero((low[1:] != low[:-1]) | (high[1:] != high[:-1])) + 1
-    for start, stop in zip([0, *changes.tolist()], [*changes.tolist(), leaf.size], strict=True):
-        yield stop - start, Range(low[start].item(), high[start].item())
 
 
 def parts_of(space: SpaceLike, value: Any) -> Iterator[Any]:

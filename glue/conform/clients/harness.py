@@ -388,10 +388,8 @@ class Harness(ABC):
     def _greeted(self, hello: Message) -> Message:
         self._hello = hello
         self.hellos += 1
-        _, _, instance, name, _, capabilities = hello.scalars
-        assert isinstance(instance, bytes)
-        assert isinstance(capabilities, tuple)
-        self.instance, self.capabilities = instance, capabilities
+        scalars: Any = hello.scalars
+        _, _, self.instance, name, _, self.capabilities = scalars
         self.mirror = self.mirror or name == mirror.NAME
         return hello
 

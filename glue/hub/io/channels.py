@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from glue.errors import RemoteProtocolError
 from glue.hub.channel import Channel
@@ -337,8 +337,7 @@ class Channels:
         channel.account()
         if channel.in_session:
             self._without_session.pop(channel, None)
-        capabilities = hello.scalars[-1]
-        assert isinstance(capabilities, tuple)
+        capabilities: Any = hello.scalars[-1]
         if "batch" in capabilities:
             self.loop.spin_longer()
 
