@@ -17,7 +17,7 @@ from glue.console import one_line, say
 from glue.errors import ConfigError
 from glue.installed import needing
 from glue.options import parse_assignments
-from glue.plugins.loading import find
+from glue.plugins.loading import find, make
 from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
 
@@ -180,14 +180,12 @@ class _Counted:
 
 def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[RecordedRun], Environment]:
     """Return a function that makes the environment of a run: the recorded one, or the requested one."""
-    from env_server.replay.episodes import build_named
-
     if name is None:
         if assignments:
             raise ConfigError("--env-option needs --env: name the environment too")
         return _build_recorded
     options = parse_assignments(find(Role.ENVIRONMENT, name), assignments)
-    return lambda run: build_named(name, {**run.options, **options})
+    return lambda run: make(name, **{**run.options, **options})
 
 
 def _build_recorded(run: RecordedRun) -> Environment:

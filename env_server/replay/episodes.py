@@ -34,7 +34,7 @@ from env_server.render.scene import element_name, is_scene
 from glue.errors import ConfigError, GlueError
 from glue.files import open_regular
 from glue.options import Value, build
-from glue.plugins.loading import find, names
+from glue.plugins.loading import make, names
 from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment, offers
 from glue.trajectory import MAX_EPISODE, MAX_STEPS, Episode, Run, TrajectoryError, TrajectoryReader
 from glue.trajectory.comparison import Outcomes, compare, unequal
@@ -411,17 +411,7 @@ def build_environment(run: RecordedRun) -> Environment:
     """
     if run.environment not in names(Role.ENVIRONMENT):
         raise NotInstalled(run.environment)
-    return build_named(run.environment, run.options)
-
-
-def build_named(name: str, options: Mapping[str, Value]) -> Environment:
-    """Return the environment called `name`, made with `options`.
-
-    Raises:
-        ConfigError: there is none, or the options do not fit.
-    """
-    environment: Environment = build(find(Role.ENVIRONMENT, name), options)
-    return environment
+    return make(run.environment, **run.options)
 
 
 def replayed_moments(

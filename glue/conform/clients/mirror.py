@@ -88,17 +88,10 @@ class MirrorAgent(_Mirror, Agent):
     def agent_end(self, reward: float) -> None:
         self.count += 1
 
-    def agent_message(self, message: str) -> str:
-        return self.message(message)
+    agent_message, agent_save, agent_load = _Mirror.message, _Mirror.save, _Mirror.load
 
     def agent_seed(self, seed: int) -> None:
         self.seed = seed
-
-    def agent_save(self) -> bytes:
-        return self.save()
-
-    def agent_load(self, saved: bytes) -> None:
-        self.load(saved)
 
     def agent_metrics(self) -> dict[str, float]:
         return {"count": float(self.count), "half the count": self.count / 2}
@@ -139,17 +132,10 @@ class MirrorEnvironment(_Mirror, Environment):
             },
         }
 
-    def env_message(self, message: str) -> str:
-        return self.message(message)
+    env_message, env_save, env_load = _Mirror.message, _Mirror.save, _Mirror.load
 
     def env_seed(self, seed: int) -> None:
         self.seed = seed
-
-    def env_save(self) -> bytes:
-        return self.save()
-
-    def env_load(self, saved: bytes) -> None:
-        self.load(saved)
 
 
 def shown(value: AbstractType) -> tuple[list[int], list[float], bytes]:

@@ -251,6 +251,10 @@ class Scene:
     def init(self) -> None:
         """Let all three peers join, and carry out RL_INIT."""
         self.gather()
+        self.initialise()
+
+    def initialise(self) -> None:
+        """Carry out RL_INIT without a seed."""
         self.experiment.ask(Kind.RL_INIT, None)
         self.initialised()
 
