@@ -124,7 +124,6 @@ class DealerTransport:
 
     def spin_with(self, spin: Spin) -> None:
         """Do nothing: libzmq's own threads wait for messages."""
-        del spin
 
     def send_message(self, message: Message) -> bool:
         """Send a message, like `send`."""

@@ -10,6 +10,7 @@ system calls receive it and one sends the answer. On the wire there is no differ
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final, Protocol
 from urllib.parse import urlsplit
@@ -239,14 +240,12 @@ class SocketTransport:
             # Closing with unread data resets the connection, which discards data that the hub has not read.
             if linger and self.connected:
                 deadline = clock.monotonic() + linger
-                try:
+                with suppress(OSError):
                     connected.shutdown(network.SHUT_WR)
                     while (left := deadline - clock.monotonic()) > 0:
                         connected.settimeout(left)
                         if not connected.recv(_CHUNK):
                             break
-                except OSError:
-                    pass
 
     def _receive_data(self) -> bytes | None:
         if self._joined and not self._send_joined():

@@ -80,12 +80,8 @@ def leaves_of(space: SpaceLike, depth: int = 0) -> Iterator[Leaf]:
     elif isinstance(space, spaces.Tuple):
         for part in space.spaces:
             yield from leaves_of(part, depth + 1)
-    elif isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
-        leaf = Leaf(space, INT, tuple(space.shape), np.dtype(space.dtype))
-        _check_ints(leaf)
-        yield leaf
-    elif isinstance(space, spaces.Box):
-        yield _box_leaf(space)
+    elif isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary | spaces.Box):
+        yield _leaf(space)
     else:
         raise ConfigError(
             f"a task spec cannot describe {type(space).__name__}: only Discrete, MultiDiscrete, MultiBinary, "
@@ -105,23 +101,23 @@ def ends_of(leaf: Leaf) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     return space.low.reshape(-1), space.high.reshape(-1)
 
 
-def _box_leaf(space: spaces.Box) -> Leaf:
+def _leaf(space: SpaceLike) -> Leaf:
     dtype = np.dtype(space.dtype)
-    if dtype == np.uint8:
-        return Leaf(space, CHAR, space.shape, dtype)
-    if dtype.name in FLOATS:
-        return Leaf(space, DOUBLE, space.shape, dtype)
-    if dtype.kind in "iu":
-        leaf = Leaf(space, INT, space.shape, dtype)
-        _check_ints(leaf)
-        return leaf
-    raise ConfigError(f"a task spec cannot describe a Box of {dtype}: only of integers and floats of 64 bits")
-
-
-def _check_ints(leaf: Leaf) -> None:
+    if dtype == np.uint8 and isinstance(space, spaces.Box):
+        run = CHAR
+    elif dtype.name in FLOATS:
+        run = DOUBLE
+    elif dtype.kind in "iu":
+        run = INT
+    else:
+        raise ConfigError(
+            f"a task spec cannot describe a Box of {dtype}: only of integers and floats of 64 bits"
+        )
+    leaf = Leaf(space, run, tuple(space.shape), dtype)
     low, high = ends_of(leaf)
-    if leaf.size and (low.min() < INT32.min or high.max() > INT32.max):
-        raise ConfigError(f"the ints of RL-Glue have 32 bits; {leaf.space!r:.200} needs more")
+    if run == INT and leaf.size and (low.min() < INT32.min or high.max() > INT32.max):
+        raise ConfigError(f"the ints of RL-Glue have 32 bits; {space!r:.200} needs more")
+    return leaf
 
 
 _TYPES: Final = (np.int32, np.float64, np.uint8)
@@ -179,9 +175,14 @@ class Codec:
         Raises:
             SimulatorError: the counts are wrong, a number is NaN, or a value is not in the space.
         """
-        wrong = self.ranges_wrong(value)
-        if wrong:
-            raise SimulatorError(wrong)
+        counts = [sum(leaf.size for leaf in self.leaves if leaf.run == run) for run in (INT, DOUBLE, CHAR)]
+        if value.counts != tuple(counts):
+            raise SimulatorError(
+                f"expected {counts[INT]} ints, {counts[DOUBLE]} doubles and {counts[CHAR]} chars for "
+                f"{self.space!r:.200}; received {value!r:.200}"
+            )
+        if np.isnan(value.doubles).any():
+            raise SimulatorError(f"a number is NaN: {value!r:.200}")
         runs: tuple[npt.NDArray[Any], ...] = (value.ints, value.doubles, np.frombuffer(value.chars, np.uint8))
         at = [0, 0, 0]
         found = []
@@ -199,16 +200,6 @@ class Codec:
                 raise SimulatorError(f"{part!r:.80} is not in {leaf.space!r:.200}")
             found.append(part)
         return build(self.space, iter(found))
-
-    def ranges_wrong(self, value: AbstractType) -> str:
-        """Return why the counts of `value` are not those of the space, or ""."""
-        counts = [sum(leaf.size for leaf in self.leaves if leaf.run == run) for run in (INT, DOUBLE, CHAR)]
-        if value.counts == tuple(counts):
-            return "" if not np.isnan(value.doubles).any() else f"a number is NaN: {value!r:.200}"
-        return (
-            f"expected {counts[INT]} ints, {counts[DOUBLE]} doubles and {counts[CHAR]} chars for "
-            f"{self.space!r:.200}; received {value!r:.200}"
-        )
 
 
 def _numbers(leaf: Leaf, part: Any) -> npt.NDArray[Any]:

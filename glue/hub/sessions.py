@@ -133,7 +133,7 @@ class Sessions:
         if peer is None or kind is Kind.HELLO:
             self._receive_unknown(channel, message)
         elif kind is Kind.HEARTBEAT:
-            self.send(channel, Message(Kind.HEARTBEAT, message.session, message.seq))
+            channel.deliver(Message(Kind.HEARTBEAT, message.session, message.seq))
         elif kind is Kind.NOTICE and message.scalars[0] == Event.SLOW:
             peer.session.explain(peer, message)
         elif kind is Kind.GOODBYE:
@@ -171,7 +171,7 @@ class Sessions:
         """Send every connection a heartbeat, and give up peers that have been unreachable for too long."""
         self.now = now
         for channel, joined in list(self._joined.items()):
-            reached = self.send(channel, Message(Kind.HEARTBEAT, "", 0))
+            reached = channel.deliver(Message(Kind.HEARTBEAT, "", 0))
             for peer in list(joined.values()):
                 if not reached:
                     self._mark_unreachable(peer)
@@ -191,7 +191,7 @@ class Sessions:
         """Say goodbye to every peer, as the hub ends."""
         for channel, joined in self._joined.items():
             for session in joined:
-                self.send(channel, Message(Kind.GOODBYE, session, 0, (reason,)))
+                channel.deliver(Message(Kind.GOODBYE, session, 0, (reason,)))
         self._joined.clear()
         self._by_name.clear()
 
@@ -204,7 +204,7 @@ class Sessions:
         if refusal is not None:
             code, text = refusal
             self.log(f"refused a peer of session {message.session!r}: {text}")
-            self.send(channel, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
+            channel.deliver(Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
 
     def _greet(self, channel: Channel, message: Message) -> tuple[ErrorCode, str] | None:
         """Admit the sender of a HELLO, or return why not."""
@@ -220,10 +220,8 @@ class Sessions:
         if len(instance) != INSTANCE_SIZE:
             return ErrorCode.MALFORMED, f"an instance must have {INSTANCE_SIZE} bytes, not {len(instance)}"
         if not message.session or not message.session.isprintable():
-            return (
-                ErrorCode.MALFORMED,
-                "the name of a session must have printable characters, and at least one",
-            )
+            text = "the name of a session must have printable characters, and at least one"
+            return ErrorCode.MALFORMED, text
         if not channel.admits(role, message.session):
             text = (
                 f"no {role} of session {message.session!r} may join at this address of the hub, or with this "
@@ -285,7 +283,7 @@ class Sessions:
         holds = sorted(_offered(message) & (BESIDE | {PACE} if paced else BESIDE))
         if holds:
             welcome += (tuple(holds),)
-        self.send(channel, Message(Kind.WELCOME, message.session, message.seq, welcome))
+        channel.deliver(Message(Kind.WELCOME, message.session, message.seq, welcome))
 
     def _greet_observer(
         self, channel: Channel, message: Message, instance: bytes, name: str, codec: str
@@ -328,11 +326,11 @@ class Sessions:
             peer = session.peers.get(role)
             if peer is not None:
                 self._lose(peer, f"was dismissed: {why}")
-                self.send(peer.channel, goodbye)
+                peer.channel.deliver(goodbye)
 
     def dismiss(self, player: Peer, why: str) -> None:
         """Say goodbye to a failed player, and continue without it; `why` completes a sentence about it."""
-        self.send(player.channel, Message(Kind.GOODBYE, player.session.name, 0, (clip(f"it {why}"),)))
+        player.channel.deliver(Message(Kind.GOODBYE, player.session.name, 0, (clip(f"it {why}"),)))
         self._lose(player, why, ErrorCode.PEER_FAILED)
 
     def _end_run(self, session: Session) -> None:
@@ -340,7 +338,7 @@ class Sessions:
         for player in list(session.peers.values()):
             if ONE_RUN in player.capabilities:
                 goodbye = Message(Kind.GOODBYE, session.name, 0, ("the experiment is over",))
-                self.send(player.channel, goodbye)
+                player.channel.deliver(goodbye)
                 self._lose(player, "was dismissed: the experiment is over")
 
     def _remove(self, peer: Peer) -> None:
@@ -350,12 +348,8 @@ class Sessions:
             del self._joined[peer.channel]
         self._left(peer.channel, peer.session.name)
 
-    def send(self, channel: Channel, message: Message) -> bool:
-        """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
-        return channel.deliver(message)
-
     def _reach(self, peer: Peer) -> bool:
-        return self.send(peer.channel, Message(Kind.HEARTBEAT, "", 0))
+        return peer.channel.deliver(Message(Kind.HEARTBEAT, "", 0))
 
     def _lose(self, peer: Peer, why: str, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         session = peer.session
@@ -366,11 +360,11 @@ class Sessions:
             self._by_name.pop(session.name, None)
             self.memory.account(session, 0)
             for observer in self._observers(session):
-                self.send(observer.channel, Message(Kind.GOODBYE, session.name, 0, ("the session is over",)))
+                observer.channel.deliver(Message(Kind.GOODBYE, session.name, 0, ("the session is over",)))
                 self._lose(observer, "was dismissed: the session is over")
 
     def _error(self, channel: Channel, message: Message, code: ErrorCode, text: str) -> None:
-        self.send(channel, Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
+        channel.deliver(Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
 
     def deliver(self, peer: Peer, message: Message) -> None:
         """Send `message` to `peer`; start its timeout if it cannot be reached."""

@@ -64,7 +64,7 @@ class LegacyPeer(Owner):
         # Its protocol declares no name. Its address differs in each trial, so it must not name it in results.
         name, codec = f"original {self._role}", f"{_CODEC} at {self._connection.name}"
         scalars = ((PROTOCOL_VERSION,), str(self._role), instance, name, codec, capabilities)
-        self._send(Message(Kind.HELLO, self._session, 0, scalars), now)
+        self._sessions.receive(self, Message(Kind.HELLO, self._session, 0, scalars), now)
         if self._decoder.buffered:
             self._connection.later()
 
@@ -139,9 +139,6 @@ class LegacyPeer(Owner):
     def _work(self, now: float, data: bytes | None) -> None:
         """Handle `data`, or receive it first if it is None."""
         raise NotImplementedError
-
-    def _send(self, message: Message, now: float) -> None:
-        self._sessions.receive(self, message, now)
 
 
 class LegacyPlayer(LegacyPeer):

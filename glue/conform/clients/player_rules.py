@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Final
 
 import numpy as np
@@ -399,7 +400,7 @@ def _left(kit: PlayerHarness) -> bool:
     """Return whether the client left after an ERROR, as it may: it must leave, or answer the next call."""
     exchange = kit.step(SHOWN)
     expected = f"{described(exchange.expected)}, or its end"
-    try:
+    with suppress(Gone):
         kit.connection.send(exchange.frames)
         frames = kit.heard(kit.wait)
         if frames is None:
@@ -409,8 +410,6 @@ def _left(kit: PlayerHarness) -> bool:
             kit.matches(exchange.expected, got, frames)
             return False
         kit.connection.ends(kit.wait)
-    except Gone:
-        pass
     kit.cut()
     kit.client.wait(kit.wait)
     return True

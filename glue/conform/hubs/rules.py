@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Final
 
-from glue.conform.forms import SPOILED, SPOILED_BODIES
+from glue.conform.forms import SPOILED, SPOILED_BODIES, header
 from glue.conform.hubs.scripted import TASK_SPEC, Scene, ScriptedPeer, did, number, reward, saw
 from glue.conform.messages import described
 from glue.conform.rules import Broken, Rules, Tier
@@ -356,7 +356,7 @@ def unknown_kind(scene: Scene) -> None:
     scene.init()
     scene.start()
     for peer in (scene.agent, scene.environment, scene.experiment):
-        peer.send_frames([_unknown(peer.session)])
+        peer.send_frames([header(63, peer.session, 5, [])])
         peer.expects_error(ErrorCode.UNKNOWN_KIND, 5)
     scene.step(1)
 
@@ -525,12 +525,6 @@ def replaced(scene: Scene) -> None:
 def _refused(peer: ScriptedPeer, code: ErrorCode, seq: int) -> None:
     refuse = peer.expects(Kind.REFUSE, seq)
     peer.check(refuse.scalars[0] == code, f"{described(refuse)} received instead of the code {code}")
-
-
-def _unknown(session: str) -> bytes:
-    """Return a header of kind 63, which does not exist, and number 5: the array [63, session, 5]."""
-    name = session.encode()
-    return bytes([0x93, 63, 0xD9, len(name), *name, 5])
 
 
 @RULES.add(Tier.COMPLETE, "beside-the-observation")
