@@ -23,7 +23,7 @@ from glue.system.sockets import limit_silence, never_wait, probe_when_silent, un
 from glue.system.spinning import Spin
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
-from glue.wire.messages import MAX_BODY, MAX_HEADER, Message
+from glue.wire.messages import MAX_FRAME, Message
 from glue.wire.steps import STEPS
 from glue.wire.stream import Malformed, Stream
 
@@ -381,12 +381,11 @@ def open_transport(url: str, context: Context | None = None, key: OwnKey | None 
     """
     check_url(url)
     _check_host(url)
-    max_frame = 2 * MAX_BODY + MAX_HEADER
     if context is None and (key is None or find_spec("nacl") is not None):
-        return SocketTransport(url, _TIMEOUT, max_frame, key)
+        return SocketTransport(url, _TIMEOUT, MAX_FRAME, key)
     from glue.client.libzmq import DealerTransport  # libzmq takes long to load, and few programs need it
 
-    return DealerTransport(context, url, _TIMEOUT, max_frame, key)
+    return DealerTransport(context, url, _TIMEOUT, key)
 
 
 def _check_host(url: str) -> None:

@@ -24,6 +24,9 @@ MAX_HEADER: Final = 4096
 MAX_BODY: Final = 16 * 2**20
 """Maximum size of a body, in bytes: room for RL-Glue's million ints, million doubles and million chars."""
 
+MAX_FRAME: Final = 2 * MAX_BODY + MAX_HEADER
+"""Maximum size of a frame from a hub, in bytes: of an observation and an action together, or of a header."""
+
 MAX_NAME: Final = 255
 """Maximum length of a session or peer name, in characters."""
 

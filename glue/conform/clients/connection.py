@@ -12,10 +12,9 @@ from glue.errors import RemoteProtocolError
 from glue.system import clock, network
 from glue.system.sockets import never_wait, reset_when_closed, wait_for
 from glue.wire import zmtp
-from glue.wire.messages import MAX_BODY, MAX_HEADER
+from glue.wire.messages import MAX_FRAME
 
 _CHUNK: Final = 65_536
-_MAX_FRAME: Final = 2 * MAX_BODY + MAX_HEADER
 
 
 class Gone(Exception):
@@ -32,6 +31,7 @@ class Listener:
     def __init__(self, scheme: str) -> None:
         # Not glue-...: runs of earlier versions connect to the sockets in such folders.
         self._folder = tempfile.TemporaryDirectory(prefix="conform-") if scheme == "ipc" else None
+        self._path = None if self._folder is None else Path(self._folder.name) / "hub"
         self._port = 0
         self._socket: network.socket | None = None
         self.open()
@@ -39,13 +39,11 @@ class Listener:
     @property
     def url(self) -> str:
         """The address for a client."""
-        if self._folder is not None:
-            return f"ipc://{self._path}"
-        return f"tcp://127.0.0.1:{self._port}"
+        return f"tcp://127.0.0.1:{self._port}" if self._path is None else f"ipc://{self._path}"
 
     def open(self) -> None:
         """Listen."""
-        if self._folder is None:
+        if self._path is None:
             self._socket = network.create_server(("127.0.0.1", self._port))
             self._port = self._socket.getsockname()[1]
         else:
@@ -58,7 +56,7 @@ class Listener:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-            if self._folder is not None:
+            if self._path is not None:
                 self._path.unlink()
 
     def remove(self) -> None:
@@ -79,11 +77,6 @@ class Listener:
         assert self._socket is not None
         return wait_for(self._socket, network.POLLIN, seconds)
 
-    @property
-    def _path(self) -> Path:
-        assert self._folder is not None
-        return Path(self._folder.name) / "hub"
-
 
 class Connection:
     """One connection."""
@@ -91,7 +84,7 @@ class Connection:
     def __init__(self, connected: network.socket) -> None:
         never_wait(connected)
         self._socket = connected
-        self._decoder = zmtp.Decoder(zmtp.ROUTER, _MAX_FRAME)
+        self._decoder = zmtp.Decoder(zmtp.ROUTER, MAX_FRAME)
         self._raw = b""  # bytes received in the handshake
         self._early: list[bytes] | None = None  # a message received along with READY
         self._heard = b""  # bytes received recently

@@ -19,8 +19,6 @@ from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import (
     CALLS,
-    MAX_BODY,
-    MAX_HEADER,
     PROTOCOL_VERSION,
     ErrorCode,
     Event,
@@ -71,9 +69,7 @@ class ScriptedPeer:
     def connect(self) -> None:
         """Open a new connection; the old one is closed without GOODBYE."""
         self.vanish()
-        self._connection = DealerTransport(
-            self._scene.context, self._scene.url, self._scene.wait, 2 * MAX_BODY + MAX_HEADER
-        )
+        self._connection = DealerTransport(self._scene.context, self._scene.url, self._scene.wait)
 
     def vanish(self) -> None:
         """Close the connection without GOODBYE."""
