@@ -95,11 +95,8 @@ class _PlayerGroup(click.Group):
         season = ctx.params.get("season")
         if season is None:
             return super().resolve_command(ctx, args)
-        return (
-            "PROGRAM",
-            click.Command("PROGRAM", callback=reporting(partial(play_programs, season, args))),
-            [],
-        )
+        program = click.Command("PROGRAM", callback=reporting(partial(play_programs, season, args)))
+        return program.name, program, []
 
     def _begin(self, season: Path | None) -> None:
         context = click.get_current_context()

@@ -199,9 +199,7 @@ class DealerTransport:
             event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL
             and value == zmq.Event.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH
         ):
-            if key is None:
-                raise needs_key(self._url)
-            raise needs_no_key(self._url)
+            raise needs_key(self._url) if key is None else needs_no_key(self._url)
         if key is None:
             return
         if event == zmq.Event.HANDSHAKE_FAILED_AUTH:

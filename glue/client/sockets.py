@@ -94,7 +94,6 @@ class SocketTransport:
     Attributes:
         connected: whether there is a connection with a complete handshake.
         connections: number of connections so far, including this one.
-        problem: why the latest connection failed, if the other end does not speak ZeroMQ's protocol.
 
     Raises:
         ConfigError: a key is given, and PyNaCl is not installed.
@@ -103,7 +102,6 @@ class SocketTransport:
     def __init__(self, url: str, timeout: float, max_frame: int, key: OwnKey | None = None) -> None:
         self.connected: bool = False
         self.connections: int = 0
-        self.problem: str | None = None
         self._url = url
         self._timeout = timeout
         self._max_frame = max_frame
@@ -193,7 +191,6 @@ class SocketTransport:
                 raise
             except RemoteProtocolError as error:
                 refusal = self._refusal(error)
-                self.problem = str(error)
                 self._fail()
                 if refusal is not None:
                     raise refusal from None
@@ -340,7 +337,6 @@ class SocketTransport:
         assert self._socket is not None
         self.connected = True
         self.connections += 1
-        self.problem = None
         self._retry = _RETRY_SECONDS[0]
         self._poller = network.poll()
         self._poller.register(self._socket, network.POLLIN)

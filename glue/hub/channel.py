@@ -71,14 +71,9 @@ class Memory:
     def enforce(self) -> None:
         """Evict the largest holders until there is room; callers must not use them again."""
         while self.exceeded and self.accounts:
-            largest = max(
-                self.accounts,
-                key=lambda known: (
-                    self.accounts[known] > _SMALL and not known.in_session,
-                    self.accounts[known],
-                ),
+            largest, held = max(
+                self.accounts.items(), key=lambda one: (one[1] > _SMALL and not one[0].in_session, one[1])
             )
-            held = self.accounts[largest]
             self.account(largest, 0)
             largest.evict(
                 f"it used {held / 2**20:.0f} MiB, more than any other, when the hub reached its limit of "

@@ -195,7 +195,7 @@ def carry_out(
 ) -> Action:
     """Carry out one order; return its result."""
     text = argument.decode("utf-8", "surrogateescape")
-    ints, doubles = order.ints, order.doubles
+    given = Observation(order.ints, order.doubles, argument, mask=order.mask)
     match verb:
         case "RL_INIT":
             return result(chars=glue.rl_init(int(text) if text else None).encode("utf-8", "surrogateescape"))
@@ -220,12 +220,10 @@ def carry_out(
         case "RL_ENV_START":
             return _both(glue.rl_env_start(), Action())
         case "RL_ENV_STEP":
-            return _outcome(glue.rl_env_step(Action(ints, doubles, argument)))
+            return _outcome(glue.rl_env_step(Action(order.ints, order.doubles, argument)))
         case "RL_AGENT_START":
-            given = Observation(ints, doubles, argument, mask=order.mask)
             return _both(Observation(), glue.rl_agent_start(given))
         case "RL_AGENT_STEP":
-            given = Observation(ints, doubles, argument, mask=order.mask)
             return _both(Observation(), glue.rl_agent_step(reward, given))
         case "RL_AGENT_END":
             glue.rl_agent_end(reward)
