@@ -103,14 +103,8 @@ class Observer(Closing):
         self._session = target.session
         self._number = 0
         self._wanted = 0
-        self._link = Link(
-            Role.OBSERVER,
-            target.hub,
-            {target.session: (name, tuple(sorted(BESIDE)))},
-            wait,
-            None,
-            key=target.key,
-        )
+        names = {target.session: (name, tuple(sorted(BESIDE)))}
+        self._link = Link(Role.OBSERVER, target.hub, names, wait, None, key=target.key)
         try:
             while not self._link.ready(self._session):
                 self._link.receive()

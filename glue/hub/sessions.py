@@ -33,7 +33,6 @@ from glue.wire.messages import (
     Kind,
     Message,
     Role,
-    Value,
 )
 
 INSTANCE_SIZE: Final = 16
@@ -272,17 +271,11 @@ class Sessions:
 
     def _welcome(self, channel: Channel, message: Message, resumed: bool) -> None:
         config = self._config
-        welcome: tuple[Value, ...] = (
-            PROTOCOL_VERSION,
-            resumed,
-            config.heartbeat,
-            config.timeout,
-            config.max_body,
-        )
         paced = config.pace and message.scalars[1] != Role.AGENT
         holds = sorted(_offered(message) & (BESIDE | {PACE} if paced else BESIDE))
-        if holds:
-            welcome += (tuple(holds),)
+        confirmed = (tuple(holds),) if holds else ()
+        numbers = config.heartbeat, config.timeout, config.max_body
+        welcome = (PROTOCOL_VERSION, resumed, *numbers, *confirmed)
         channel.deliver(Message(Kind.WELCOME, message.session, message.seq, welcome))
 
     def _greet_observer(
