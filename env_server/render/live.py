@@ -23,7 +23,7 @@ class Rendered(Wrapper):
         return observation
 
     def env_step(self, action: Action) -> Step:
-        step = step_of(self.__wrapped__, self.__wrapped__.env_step(action))
+        step = step_of(self.__wrapped__.env_step(action))
         self._step += 1
         self._return += step.reward
         self._screen.show(step.observation, step.reward, self._step, self._return)

@@ -523,7 +523,7 @@ def _replay_episode(
             if action is None:
                 got = Step(0.0, environment.env_start(), False)
             else:
-                got = step_of(environment, environment.env_step(action))
+                got = step_of(environment.env_step(action))
         except GlueError as error:
             raise Difference(f"{place}: the environment refused: {error}") from error
         difference = _difference((reward, seen, terminal), got)

@@ -167,7 +167,7 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
             _blame_sender(error, action, received, Role.AGENT)
             raise
         try:
-            taken = step_of(environment, answer)
+            taken = step_of(answer)
         except (TypeError, ValueError, OverflowError):
             raise _wrong(environment, "env_step", "Step(reward, observation, terminal)", answer) from None
         observation = taken.observation

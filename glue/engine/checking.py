@@ -47,7 +47,7 @@ class CheckedActions(Wrapper):
         if self._actions is not None and (why := self._actions.check(action) or self._masked(action)):
             raise PeerFailed(f"the agent's {action!r:.80} is illegal: {why}")
         answer = self.__wrapped__.env_step(action)
-        self._shown = step_of(self.__wrapped__, answer).observation
+        self._shown = step_of(answer).observation
         return answer
 
     def _masked(self, action: Action) -> str:

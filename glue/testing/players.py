@@ -266,7 +266,7 @@ class _EnvironmentPlayer(_Player):
         if not isinstance(terminal, (bool, np.bool_)):
             raise self.wrong(Rule.TERMINAL, "step", terminal)
         self.checked("step", observation)
-        return step_of(self.player, answer)
+        return step_of(answer)
 
 
 class _AgentPlayer(_Player):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from typing import Any
 
 import pytest
 
-from glue import CUT_OFF, Action, Agent, Environment, Observation, local
+from glue import CUT_OFF, Action, Agent, Environment, Observation, Step, local
 from glue.engine.engine import Engine
 from glue.engine.experiment import Experiment
 from glue.wire.messages import Kind
@@ -27,8 +28,9 @@ class CuttingEnvironment(ScriptedEnvironment):
         self.episodes += 1
         return super().env_start()
 
-    def env_truncated(self) -> bool:
-        return self.episodes % 2 == 0
+    def env_step(self, action: Action) -> Any:
+        reward, observation, terminal = super().env_step(action)
+        return Step(reward, observation, terminal, terminal and self.episodes % 2 == 0)
 
 
 LAST_STEPS = ["agent_start [0]", "agent_step 1 [1]", "agent_step 1 [2]"]
