@@ -155,7 +155,7 @@ class RemoteExperiment(Experiment):
         `report` is called with the missing roles, after a short delay and whenever they change.
         """
         reported: frozenset[Role] | None = None
-        while missing := frozenset({Role.AGENT, Role.ENVIRONMENT}) - self._players:
+        while missing := _PLAYERS - self._players:
             message = self._receive()
             if missing != reported and (message is None or message.kind is not Kind.NOTICE):
                 reported = missing

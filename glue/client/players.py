@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from glue.client.answers import ServedPlayer, failure
 from glue.client.link import Link
@@ -27,12 +27,10 @@ from glue.errors import HubClosed, PeerFailed, Refused, described
 from glue.roles import AgentLike, EnvironmentLike
 from glue.system import threads
 from glue.wire.codec import clip
-from glue.wire.messages import CALLS, Event, Kind, Message, Role
+from glue.wire.messages import CALL_KINDS, Event, Kind, Message, Role
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
-
-_CALLS: Final = frozenset(CALLS)
 
 
 def serve_agent(
@@ -108,7 +106,7 @@ def _serve(
     message: Message | None = None
 
     def report(line: str) -> None:
-        if message is not None and message[0] in _CALLS:
+        if message is not None and message[0] in CALL_KINDS:
             scalars = (str(Event.SLOW), str(role), clip(line))
             link.send(Message(Kind.NOTICE, message.session, message.seq, scalars))
 
@@ -121,7 +119,7 @@ def _serve(
                 player = served.get(message.session)
                 if player is None:
                     continue
-                if message[0] in _CALLS:
+                if message[0] in CALL_KINDS:
                     try:
                         answer = player.answer(message)
                         if answer is not None:

@@ -24,7 +24,7 @@ from glue.roles import CAPABILITIES
 from glue.wire.codec import UnknownKind, clip
 from glue.wire.messages import (
     BESIDE,
-    CALLS,
+    CALL_KINDS,
     OUTCOME,
     PACE,
     PROTOCOL_VERSION,
@@ -44,7 +44,6 @@ ONE_RUN: Final = "one-run"
 _KNOWN: Final = frozenset({ONE_RUN, OUTCOME, *CAPABILITIES})
 """The capabilities that matter here; a peer may offer others, which are not kept."""
 
-_CALLS: Final = frozenset(CALLS)
 _EXPERIMENT: Final = Role.EXPERIMENT
 
 _MAX_LABEL: Final = 255
@@ -125,7 +124,7 @@ class Sessions:
         joined = self._joined.get(channel)
         kind = message[0]
         peer = None if joined is None else joined.get(message[1])
-        if peer is not None and (kind in _CALLS or kind is Kind.ERROR):
+        if peer is not None and (kind in CALL_KINDS or kind is Kind.ERROR):
             if peer.role is _EXPERIMENT:
                 return peer.session.request(peer, message)
             return peer.session.answer(peer, message)
@@ -231,6 +230,9 @@ class Sessions:
         if message.session not in joined and len(joined) >= self._config.max_joined:
             text = f"this connection takes part in {len(joined)} sessions, the maximum; open another one"
             return ErrorCode.FULL, text
+        other = joined.get(message.session)
+        if other is not None and other.role is not role:
+            return ErrorCode.MALFORMED, f"this connection is already the {other.role} of the session"
         if role is Role.OBSERVER:
             return self._greet_observer(channel, message, instance, name, codec)
         session = self._by_name.get(message.session)
@@ -242,9 +244,6 @@ class Sessions:
             bank = None if limits is None else TimeBank(limits, self._clock, self._processor)
             session = Session(self, message.session, bank, self._config.pace)
             self._by_name[message.session] = session
-        other = joined.get(message.session)
-        if other is not None and other.role is not role:
-            return ErrorCode.MALFORMED, f"this connection is already the {other.role} of the session"
         current = session.peers.get(role)
         if current is not None and current.instance != instance:
             if current.unreachable_since is None and self._reach(current):
@@ -285,10 +284,7 @@ class Sessions:
         session = self._by_name.get(message.session)
         if session is None:
             return ErrorCode.NO_SESSION, f"there is no session {message.session!r} yet; say HELLO again later"
-        current = self._joined.get(channel, {}).get(message.session)
-        if current is not None:
-            if current.role is not Role.OBSERVER:
-                return ErrorCode.MALFORMED, f"this connection is already the {current.role} of the session"
+        if message.session in self._joined.get(channel, {}):
             self._welcome(channel, message, resumed=True)
             return None
         others = self._observers(session)

@@ -59,7 +59,9 @@ class Role(StrEnum):
     OBSERVER = "observer"
 
 
-THREE_ROLES: Final = (Role.AGENT, Role.ENVIRONMENT, Role.EXPERIMENT)
+PLAYERS: Final = (Role.AGENT, Role.ENVIRONMENT)
+
+THREE_ROLES: Final = (*PLAYERS, Role.EXPERIMENT)
 """The roles that make up a session."""
 
 
@@ -276,6 +278,9 @@ CALLS: Final[Mapping[Kind, Call]] = MappingProxyType(
         Kind.RL_AGENT_METRICS: Call(None, _EMPTY, _OBSERVATION),
     }
 )
+
+CALL_KINDS: Final = frozenset(CALLS)
+"""The kinds of `CALLS`, in which a kind is found faster."""
 
 CONTROL: Final[Mapping[Kind, Shape]] = MappingProxyType(
     {

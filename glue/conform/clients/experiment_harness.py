@@ -14,7 +14,7 @@ from glue.conform.clients.mirror import carry_out
 from glue.engine.experiment import Experiment
 from glue.types import AbstractType, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
-from glue.wire.messages import CALLS, Event, Kind, Message, Role, Value
+from glue.wire.messages import CALLS, PLAYERS, Event, Kind, Message, Value
 
 SEEN: Final = Observation([3, 5], [0.5], b"ab")
 DONE: Final = Action([7], [-0.25], b"c")
@@ -125,7 +125,7 @@ class ExperimentHarness(Harness):
 
     def welcome(self, *scalars: Any, **options: Any) -> None:
         super().welcome(*scalars, **options)
-        for role in (Role.AGENT, Role.ENVIRONMENT):
+        for role in PLAYERS:
             self.send(Kind.NOTICE, Event.JOINED, role, "a mirror (the kit)")
 
     def ordering(self, verb: str) -> tuple[bytes, ...]:

@@ -20,7 +20,7 @@ from glue.conform.clients.connection import Connection, Gone, Listener
 from glue.conform.clients.mirror import MirrorAgent, MirrorEnvironment
 from glue.conform.clients.process import Client, Start
 from glue.conform.messages import described, difference, same
-from glue.conform.rules import PLAYERS, Broken, NotJudged
+from glue.conform.rules import Broken, NotJudged
 from glue.engine.calls import role_calls
 from glue.errors import GlueError, RemoteProtocolError
 from glue.system import chance, clock
@@ -28,7 +28,7 @@ from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
-from glue.wire.messages import BESIDE, CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
+from glue.wire.messages import BESIDE, CALLS, PLAYERS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
 
 MAX_BODY: Final = 2**20
 """Bytes of the largest body that the kit accepts, as its WELCOME says."""

@@ -14,12 +14,12 @@ from glue.conform.clients.connection import Gone
 from glue.conform.clients.harness import MAX_BODY, SHOWN, SPEC, TASK, PlayerHarness
 from glue.conform.clients.mirror import FAIL, FAILURE
 from glue.conform.messages import described
-from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier
+from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.errors import GlueError, TaskSpecError
 from glue.taskspec import parse_task_spec
 from glue.types import CUT_OFF, Action, Observation
 from glue.wire.beside import readable
-from glue.wire.messages import EXTRAS, MASK, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import EXTRAS, MASK, PLAYERS, ErrorCode, Event, Kind, Message, Role
 
 RULES: Final = Rules(PLAYERS)
 
