@@ -174,13 +174,6 @@ class GoldenEpisode:
     start: Observation | Digest
     steps: Iterator[GoldenStep]
 
-    def difference_before(self, environment: Environment) -> str:
-        """Return how the buttons held now differ from those recorded for the start; "" if they do not."""
-        if not isinstance(environment, _Buttoned) or environment.buttons == self.keys:
-            return ""
-        expected, got = (list(map(int, keys)) for keys in (self.keys, environment.buttons))
-        return f"the keys held: expected {expected}, got {got}"
-
 
 @dataclass(frozen=True, slots=True)
 class GoldenLevel:
@@ -189,16 +182,16 @@ class GoldenLevel:
     options: Mapping[str, Value]
     level: Level
 
-    def difference(self) -> str:
-        """Return how the level that our environment makes differs from this one; "" if it does not."""
+    def check(self) -> None:
+        """Raise Difference if the level that our environment makes differs from this one."""
         from env_server.mario.environment import InfiniteMario  # here, as the simulator loads slowly
 
         mario: InfiniteMario = build(InfiniteMario, self.options)
         mario.env_init()
         mario.env_start()
-        difference = level_difference(self.level, mario.game.level)
-        task = " ".join(f"{name}={value}" for name, value in self.options.items())
-        return difference and f"{task}: {difference}"
+        if difference := level_difference(self.level, mario.game.level):
+            task = " ".join(f"{name}={value}" for name, value in self.options.items())
+            raise Difference(f"{task}: {difference}")
 
 
 class GoldenReader:
@@ -469,9 +462,7 @@ def _compare_levels(recorded: Iterable[Recorded]) -> Iterator[RecordedEpisode]:
     """Yield the episodes; between them, check that the simulator makes the same levels."""
     for part in recorded:
         if isinstance(part, GoldenLevel):
-            difference = part.difference()
-            if difference:
-                raise Difference(difference)
+            part.check()
         else:
             yield part
 
@@ -514,8 +505,9 @@ def _replay_episode(
     if isinstance(episode, Episode):
         for message in episode.messages:
             environment.env_message(message)
-    elif difference := episode.difference_before(environment):
-        raise Difference(f"{_place(episode, number, 0)}: {difference}")
+    elif isinstance(environment, _Buttoned) and environment.buttons != episode.keys:
+        expected, held = (list(map(int, keys)) for keys in (episode.keys, environment.buttons))
+        raise Difference(f"{_place(episode, number, 0)}: the keys held: expected {expected}, got {held}")
     total = 0.0
     for step, (action, reward, seen, terminal) in enumerate(_outcomes(episode)):
         place = _place(episode, number, step)

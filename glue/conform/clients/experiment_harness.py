@@ -123,8 +123,8 @@ class ExperimentHarness(Harness):
         self.settle()
         self.run(self.order(order))
 
-    def welcome(self, *scalars: Any, **options: Any) -> None:
-        super().welcome(*scalars, **options)
+    def welcome(self, *values: Any, **options: Any) -> None:
+        super().welcome(*values, **options)
         for role in PLAYERS:
             self.send(Kind.NOTICE, Event.JOINED, role, "a mirror (the kit)")
 
