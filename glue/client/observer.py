@@ -170,10 +170,12 @@ def _read(message: Message) -> Seen | None:
         case Kind.OBSERVED_INIT:
             return TaskSpecSeen(body.decode(errors="replace"))
         case Kind.OBSERVED_START:
-            return StartSeen(*scalars, Observation.from_body(body))
+            return StartSeen(scalars[0], Observation.from_body(body))
         case Kind.OBSERVED_STEP:
             cut = body_size(body)
-            return StepSeen(*scalars, Observation.from_body(body[:cut]), Action.from_body(body[cut:]))
+            seen = Observation.from_body(body[:cut]), Action.from_body(body[cut:])
+            episode, num_steps, episode_return, reward, terminal = scalars
+            return StepSeen(episode, num_steps, episode_return, reward, terminal, *seen)
         case Kind.OBSERVED_MESSAGE:
-            return AnswerSeen(*scalars, body.decode(errors="replace"))
+            return AnswerSeen(scalars[0], body.decode(errors="replace"))
     return None

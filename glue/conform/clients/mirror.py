@@ -46,10 +46,10 @@ class _Mirror:
         self.count: int = 0
         self.seed: int = 0
 
-    def message(self, text: str) -> str:
-        if text == FAIL:
+    def message(self, message: str) -> str:
+        if message == FAIL:
             raise RuntimeError(FAILURE)
-        return text
+        return message
 
     def save(self) -> bytes:
         return f"{self.count} {self.seed}".encode()
