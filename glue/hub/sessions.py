@@ -131,7 +131,7 @@ class Sessions:
         if peer is None or kind is Kind.HELLO:
             self._receive_unknown(channel, message)
         elif kind is Kind.HEARTBEAT:
-            channel.deliver(Message(Kind.HEARTBEAT, message.session, message.seq))
+            self.send(channel, Message(Kind.HEARTBEAT, message.session, message.seq))
         elif kind is Kind.NOTICE and message.scalars[0] == Event.SLOW:
             peer.session.explain(peer, message)
         elif kind is Kind.GOODBYE:
@@ -169,7 +169,7 @@ class Sessions:
         """Send every connection a heartbeat, and give up peers that have been unreachable for too long."""
         self.now = now
         for channel, joined in list(self._joined.items()):
-            reached = channel.deliver(Message(Kind.HEARTBEAT, "", 0))
+            reached = self.send(channel, Message(Kind.HEARTBEAT, "", 0))
             for peer in list(joined.values()):
                 if not reached:
                     self._mark_unreachable(peer)
@@ -189,7 +189,7 @@ class Sessions:
         """Say goodbye to every peer, as the hub ends."""
         for channel, joined in self._joined.items():
             for session in joined:
-                channel.deliver(Message(Kind.GOODBYE, session, 0, (reason,)))
+                self.send(channel, Message(Kind.GOODBYE, session, 0, (reason,)))
         self._joined.clear()
         self._by_name.clear()
 
@@ -202,7 +202,7 @@ class Sessions:
         if refusal is not None:
             code, text = refusal
             self.log(f"refused a peer of session {message.session!r}: {text}")
-            channel.deliver(Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
+            self.send(channel, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
 
     def _greet(self, channel: Channel, message: Message) -> tuple[ErrorCode, str] | None:
         """Admit the sender of a HELLO, or return why not."""
@@ -275,7 +275,7 @@ class Sessions:
         confirmed = (tuple(holds),) if holds else ()
         numbers = config.heartbeat, config.timeout, config.max_body
         welcome = (PROTOCOL_VERSION, resumed, *numbers, *confirmed)
-        channel.deliver(Message(Kind.WELCOME, message.session, message.seq, welcome))
+        self.send(channel, Message(Kind.WELCOME, message.session, message.seq, welcome))
 
     def _greet_observer(
         self, channel: Channel, message: Message, instance: bytes, name: str, codec: str
@@ -315,11 +315,11 @@ class Sessions:
             peer = session.peers.get(role)
             if peer is not None:
                 self._lose(peer, f"was dismissed: {why}")
-                peer.channel.deliver(goodbye)
+                self.send(peer.channel, goodbye)
 
     def dismiss(self, player: Peer, why: str) -> None:
         """Say goodbye to a failed player, and continue without it; `why` completes a sentence about it."""
-        player.channel.deliver(Message(Kind.GOODBYE, player.session.name, 0, (clip(f"it {why}"),)))
+        self.send(player.channel, Message(Kind.GOODBYE, player.session.name, 0, (clip(f"it {why}"),)))
         self._lose(player, why, ErrorCode.PEER_FAILED)
 
     def _end_run(self, session: Session) -> None:
@@ -327,7 +327,7 @@ class Sessions:
         for player in list(session.peers.values()):
             if ONE_RUN in player.capabilities:
                 goodbye = Message(Kind.GOODBYE, session.name, 0, ("the experiment is over",))
-                player.channel.deliver(goodbye)
+                self.send(player.channel, goodbye)
                 self._lose(player, "was dismissed: the experiment is over")
 
     def _remove(self, peer: Peer) -> None:
@@ -337,8 +337,12 @@ class Sessions:
             del self._joined[peer.channel]
         self._left(peer.channel, peer.session.name)
 
+    def send(self, channel: Channel, message: Message) -> bool:
+        """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
+        return channel.deliver(message)
+
     def _reach(self, peer: Peer) -> bool:
-        return peer.channel.deliver(Message(Kind.HEARTBEAT, "", 0))
+        return self.send(peer.channel, Message(Kind.HEARTBEAT, "", 0))
 
     def _lose(self, peer: Peer, why: str, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         session = peer.session
@@ -349,11 +353,11 @@ class Sessions:
             self._by_name.pop(session.name, None)
             self.memory.account(session, 0)
             for observer in self._observers(session):
-                observer.channel.deliver(Message(Kind.GOODBYE, session.name, 0, ("the session is over",)))
+                self.send(observer.channel, Message(Kind.GOODBYE, session.name, 0, ("the session is over",)))
                 self._lose(observer, "was dismissed: the session is over")
 
     def _error(self, channel: Channel, message: Message, code: ErrorCode, text: str) -> None:
-        channel.deliver(Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
+        self.send(channel, Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
 
     def deliver(self, peer: Peer, message: Message) -> None:
         """Send `message` to `peer`; start its timeout if it cannot be reached."""
