@@ -361,20 +361,18 @@ class Held(Matches):
         for who, why in self._paused.items():
             self._say(f"{who} is paused: {why}; glue-compete resume {self._store.directory} ends that")
 
-    def record(self, acts: Sequence[Act], given: Competition | None = None) -> None:
+    def record(self, acts: Sequence[Act], added: Iterable[Entrant] = ()) -> None:
         """Write acts to the journal, and carry them out.
 
         Args:
             acts: of the organiser.
-            given: has the entrants that are added; None if there are none.
+            added: the entrants that they add.
 
         Raises:
             ExperimentError: its levels were changed, or the run cannot be written to.
         """
-        course, competition = Course(self.course.competition, [*self.course.acts, *acts]), self._competition
-        if given is not None:
-            added = [one for one in given.entrants if one.name not in self.course.entrants]
-            competition = replace(competition, entrants=(*competition.entrants, *added))
+        course = Course(self.course.competition, [*self.course.acts, *acts])
+        competition = replace(self._competition, entrants=(*self._competition.entrants, *added))
         new = _missing(self._store, course, course.specs(course.admitted(competition), self._secret))
         record_acts(self._store, acts)
         if new:

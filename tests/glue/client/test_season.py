@@ -52,6 +52,11 @@ def page() -> Iterator[Script]:
     script = Script()
 
     class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(b'{"start": "first"}')
+
         def do_POST(self) -> None:
             content = self.rfile.read(int(self.headers["Content-Length"]))
             script.asked.append((self.path, json.loads(content)))
@@ -161,17 +166,18 @@ def test_an_answer_that_breaks_off_is_asked_for_again(
     assert "IncompleteRead" in said[0]
 
 
-def test_another_attempt_replaces_one_that_failed_for_a_reason_of_the_seasons(
+def test_an_attempt_that_fails_for_a_reason_of_the_seasons_is_followed_by_another(
     script: Script, season: tuple[Season, list[float]]
 ) -> None:
-    ours = {"state": "over", "attempt": 3, "outcome": "ours", "why": "a disk was full"}
-    script.answers = [(200, {"state": "waiting", "attempt": 3, "why": "a new disk"}), (200, ours)]
+    script.answers = [(200, {"state": "waiting", "attempt": 3, "why": "a new disk"})]
     script.answers += [(200, {"state": "verifying", "attempt": 4}), (200, {**OVER, "attempt": 4})]
     said: list[str] = []
     assert season[0].play(None, said.append).attempt == 4
     assert said[0] == "attempt 3 waits, and nothing is played now: a new disk"
-    assert said[1].startswith("attempt 3 is over; ours (a disk was full); it does not count")
-    assert [body["attempt"] for _, body in script.asked] == [0, 3, 0, 4]
+    assert [body["attempt"] for _, body in script.asked] == [0, 3, 3]
+    ours = {"state": "over", "attempt": 5, "outcome": "ours", "why": "a disk was full"}
+    script.answers = [(200, ours)]  # nothing follows, as when the season was closed
+    assert str(season[0].play(None, said.append)) == "attempt 5 is over; ours (a disk was full)"
 
 
 def test_a_page_that_stays_away_is_given_up(script: Script, season: tuple[Season, list[float]]) -> None:

@@ -7,7 +7,7 @@ import hashlib
 import pytest
 
 from glue.client.libzmq import new_pair
-from glue.keys.requests import DIGEST, ENTRANT, SECONDS, SIGNATURE, TIME, Once, Unsigned, check, signed
+from glue.keys.requests import DIGEST, ENTRANT, SECONDS, SIGNATURE, START, TIME, Once, Unsigned, check, signed
 
 PAIR = new_pair()
 DIGEST_OF_BODY = hashlib.sha256(b"body").hexdigest()
@@ -15,7 +15,7 @@ NOW = 1_800_000_000.5
 
 
 def request() -> dict[str, str]:
-    return signed(PAIR, "alice", "POST", "/season/api/attempt", DIGEST_OF_BODY, NOW)
+    return signed(PAIR, "alice", "POST", "/season/api/attempt", DIGEST_OF_BODY, "first", NOW)
 
 
 @pytest.mark.parametrize("now", [NOW, NOW - SECONDS + 1, NOW + SECONDS - 1])
@@ -28,6 +28,7 @@ def test_a_request_is_valid_for_some_minutes(now: float) -> None:
     [
         {ENTRANT: "bob"},
         {TIME: str(int(NOW) + 1)},
+        {START: "second"},
         {DIGEST: hashlib.sha256(b"other").hexdigest()},
         {SIGNATURE: "00" * 64},
         {SIGNATURE: ""},
