@@ -89,7 +89,7 @@ def test_a_record_names_its_level_not_where_it_is(folder: Path, run: Callable[..
         environment.env_start()
         writer.start()
         for _ in range(5):
-            step = step_of(environment, environment.env_step(STAY))
+            step = step_of(environment.env_step(STAY))
             writer.step(STAY.body, step.reward)
         writer.end(Ending.CUTOFF)
         writer.close()
