@@ -39,7 +39,10 @@ from glue.errors import GlueError, HubUnreachable
 from glue.keys.certificates import encode, write_pair
 from tests import forked
 from tests.experiment_runner.competition.players import Walker
+from tests.ports import ports
 from tests.system.runs import wait_until
+
+__all__ = ["ports"]
 
 ROOT: Final = Path(__file__).parents[2]
 KILLS: Final = 10
@@ -89,14 +92,13 @@ class Hanging(Walker):
 class Held:
     """A season, its server's process, and what its organiser types."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, port: int) -> None:
         self.folder = folder
         self.directory = folder / "run"
         self.began = time.time()
         self.over = Event()
         self.log = folder / "server.log"
-        self.page = _free_ports(7)
-        self.hub = self.page + 1
+        self.page, self.hub = port, port + 1
         self.url = f"http://127.0.0.1:{self.page}"
         write_pair(folder / "keys", "hub", new_pair())
         for name, text in (("secret.txt", "xyzzy"), ("code.txt", "lemonade")):
@@ -172,17 +174,6 @@ class Held:
         now = datetime.fromtimestamp(self.began, UTC)
         with Results.open(self.directory) as results:
             return season_board(results, course_of(self.directory), now, ORGANISER)
-
-
-def _free_ports(count: int) -> int:
-    """Return the first of some ports in a row that are free now."""
-    chance = random.Random(os.getpid())
-    while True:
-        first = chance.randrange(20_000, 30_000)
-        with suppress(OSError):
-            for port in range(first, first + count):
-                socket.create_server(("127.0.0.1", port)).close()
-            return first
 
 
 def read(file: Path) -> Season:
@@ -269,9 +260,9 @@ def programs(folder: Path) -> dict[str, list[str]]:
 
 
 @pytest.mark.timeout(1200)
-def test_a_season_of_some_days(tmp_path: Path) -> None:
+def test_a_season_of_some_days(tmp_path: Path, ports: int) -> None:
     commands = programs(tmp_path)
-    held = Held(tmp_path)
+    held = Held(tmp_path, ports)
     held.wait_for_server()
     players: dict[str, Callable[[], int]] = {
         **{name: partial(play, held, name, Walker, 3) for name in HONEST},
