@@ -173,14 +173,17 @@ def test_what_is_paused_starts_when_it_is_resumed_also_after_a_restart(run: Run)
 
 
 def test_what_a_run_does_not_have_is_refused_by_name(run: Run) -> None:
-    with pytest.raises(
-        ExperimentError, match=r"grant is an act of a season.*rerun has an entrant play again"
+    run.act("exclude", subject="alice")
+    for kind, subject, why in (
+        ("grant", "bob", r"grant is an act of a season.*rerun has an entrant play again"),
+        ("pause", "carol", "there is no entrant carol"),
+        ("exclude", "carol", "there is no entrant carol; there are alice, bob"),
+        ("exclude", "alice", "alice is excluded: because"),
+        ("rerun", "bob/mines/7", "there is no trial bob/mines/7"),
+        ("rerun", "bob/mines/1", "bob/mines/1 is not over"),
     ):
-        run.act("grant", subject="bob", number=1)
-    with pytest.raises(ExperimentError, match="there is no entrant carol"):
-        run.act("pause", subject="carol")
-    with pytest.raises(ExperimentError, match="there is no entrant carol"):
-        run.act("exclude", subject="carol")
+        with pytest.raises(ExperimentError, match=why):
+            run.act(kind, subject=subject)
     replies: list[Any] = []
     thread = threading.Thread(target=lambda: replies.append(ask(run.directory, {"do": "status"})))
     thread.start()

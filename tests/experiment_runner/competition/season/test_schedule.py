@@ -155,18 +155,6 @@ def test_what_is_not_the_entrants_fault_costs_nothing_and_grants_are_used_last()
     assert remaining() == 3
 
 
-def test_forfeits_in_a_row_are_counted_until_something_changes() -> None:
-    season = made()
-    season.attempt("ann", 0.0, forfeit="it left")
-    season.attempt("ann", 0.0, forfeit="it left")
-    assert season.state.entrants["ann"].failed == 2
-    season.act(journal.IMAGE, "ann", "submitted", player="ann:2", id="sha256:" + 64 * "0")
-    assert season.state.entrants["ann"].failed == 0
-    season.attempt("ann", 0.0, forfeit="it left")
-    season.attempt("ann", 0.0)
-    assert season.state.entrants["ann"].failed == 0
-
-
 @pytest.mark.parametrize(
     ("change", "why"),
     [
