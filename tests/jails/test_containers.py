@@ -111,75 +111,15 @@ def test_it_has_no_privileges_and_no_network(run: Run) -> None:
     assert {"rw", "nosuid", "nodev", "noexec"} <= set(mounts["/tmp"])
 
 
-_SOCKETS = """
-import socket
-found = set()
-for family in range(64):
-    for kind in range(1, 11):
-        for protocol in range(30):
-            try: socket.socket(family, kind, protocol).close()
-            except OSError: continue
-            found.add((family, protocol if family == socket.AF_NETLINK else 0))
-print(*sorted(found))
-"""
-
-
-def test_it_can_make_sockets_of_its_hub_and_of_its_loopback_interface_only(run: Run) -> None:
-    """Without our own profile, Debian's engine lets a jail make AF_VSOCK and AF_XDP as well."""
-    assert printed(run(_SOCKETS)) == "(1, 0) (2, 0) (10, 0) (16, 0)\n"
-
-
-_LOAD = """
-from pathlib import Path
-names = [f'/proc/{name}' for name in ('loadavg', 'stat', 'meminfo', 'vmstat', 'uptime', 'interrupts')]
-paths = [*map(Path, names), *Path('/proc/sys/fs').rglob('*'), *Path('/sys/devices/system/node').rglob('*')]
-paths += [*Path('/sys/devices/system/cpu').glob('cpu*/*/*'), *Path('/sys/block').glob('*/stat')]
-print(*(path for path in paths if path.is_file() and path.read_text()))
-"""
-
-
-def test_it_does_not_see_the_load_of_the_machine(run: Run) -> None:
-    assert printed(run(_LOAD)) == "\n"
-
-
 def test_what_it_may_use_is_limited(engine: Any, run: Run, launch: Launch) -> None:
+    """What else is limited `tests/jails/hostile` tries to use."""
     run("import time; time.sleep(1000)")
     (container,) = engine.containers.list(filters={"label": f"{LABEL}={launch.run}"})
     settings = container.attrs["HostConfig"]
-    assert settings["Memory"] == settings["MemorySwap"] == _LIMITS.memory
+    assert settings["MemorySwap"] == _LIMITS.memory
     assert settings["PidsLimit"] == _LIMITS.pids
     assert settings["NanoCpus"] == 500_000_000
-    assert settings["ShmSize"] == _LIMITS.shm
     assert settings["Init"] is True
-    assert settings["CapDrop"] == ["ALL"]
-    assert settings["NetworkMode"] == "none"
-
-
-def test_disks_are_full_at_their_limits(run: Run) -> None:
-    said = printed(
-        run(
-            "for folder in ('/tmp', '/dev/shm', '/var/tmp', '/run/glue', '/dev', '/'):\n"
-            "    written = 0\n"
-            "    try:\n"
-            "        with open(folder + '/junk', 'wb', buffering=0) as file:\n"
-            "            while True: written += file.write(bytes(2 ** 18))\n"
-            "    except OSError as error: print(folder, written // 2 ** 20)\n"
-        )
-    )
-    assert said.split() == [
-        "/tmp",
-        "2",
-        "/dev/shm",
-        "3",
-        "/var/tmp",
-        "0",
-        "/run/glue",
-        "0",
-        "/dev",
-        "0",
-        "/",
-        "0",
-    ]
 
 
 @pytest.mark.parametrize("program", [_EATER, _PARENT_OF_AN_EATER])
@@ -213,13 +153,6 @@ def test_nothing_of_it_is_left_when_it_is_stopped(engine: Any, run: Run, launch:
     container.stop()
     assert container.reason is None
     assert not engine.containers.list(all=True, filters={"label": f"{LABEL}={launch.run}"})
-
-
-def test_a_program_that_prints_without_end_waits_and_leaves_a_short_log(run: Run) -> None:
-    container = run("while True: print('shout ' * 100)")
-    assert not container.wait(2.0)
-    container.stop()
-    assert 0 < container.log.stat().st_size <= _LIMITS.log
 
 
 def test_the_last_words_are_kept(run: Run) -> None:
@@ -392,21 +325,19 @@ def test_who_was_killed_at_the_engine_has_not_ended_by_itself(engine: Any, run: 
     assert "the container engine was told to kill" in str(container.lost)
 
 
-def test_more_processors_than_the_machine_has_are_found_before_anything_is_played(
-    image: Callable[..., str],
+@pytest.mark.parametrize(
+    ("lines", "cpus", "why"),
+    [
+        (["CMD id"], 1024.0, "cpus = 1024, but this machine has only"),
+        (["VOLUME /data", "CMD id"], 0.5, "declares a volume, /data"),
+        (["CMD []"], 0.5, "has nothing to run"),
+    ],
+)
+def test_what_cannot_be_jailed_is_found_before_anything_is_played(
+    lines: list[str], cpus: float, why: str, image: Callable[..., str]
 ) -> None:
-    with pytest.raises(ConfigError, match="cpus = 1024, but this machine has only"):
-        Containers().check(Entrant("alice", image=image("CMD id")), Limits(cpus=1024.0))
-
-
-def test_an_image_with_a_volume_could_fill_the_disk(image: Callable[..., str]) -> None:
-    with pytest.raises(ConfigError, match="declares a volume, /data"):
-        Containers().check(Entrant("alice", image=image("VOLUME /data", "CMD id")), _LIMITS)
-
-
-def test_an_image_without_a_command_has_nothing_to_run(image: Callable[..., str]) -> None:
-    with pytest.raises(ConfigError, match="has nothing to run"):
-        Containers().check(Entrant("alice", image=image("CMD []")), _LIMITS)
+    with pytest.raises(ConfigError, match=why):
+        Containers().check(Entrant("alice", image=image(*lines)), replace(_LIMITS, cpus=cpus))
 
 
 def test_an_image_that_is_not_here(engine: Any) -> None:
@@ -414,14 +345,16 @@ def test_an_image_that_is_not_here(engine: Any) -> None:
         Containers().check(Entrant("alice", image="alice/agent:1"), _LIMITS)
 
 
-def test_several_at_once(run: Run) -> None:
-    containers = [run("print('here')") for _ in range(4)]
-    assert [printed(container) for container in containers] == ["here\n"] * 4
-
-
-def test_an_engine_elsewhere_cannot_reach_the_hub(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DOCKER_HOST", "tcp://192.0.2.1:2375")
-    with pytest.raises(ConfigError, match=r"DOCKER_HOST is tcp://192.0.2.1:2375.*engine must be here"):
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [
+        ("tcp://192.0.2.1:2375", r"DOCKER_HOST is tcp://192.0.2.1:2375.*engine must be here"),
+        ("unix:///nowhere/docker.sock", r"no container engine answers at unix://.*start Docker"),
+    ],
+)
+def test_an_engine_that_is_not_here(monkeypatch: pytest.MonkeyPatch, address: str, why: str) -> None:
+    monkeypatch.setenv("DOCKER_HOST", address)
+    with pytest.raises(ConfigError, match=why):
         Containers().check(Entrant("alice", image="alice/agent:1"), _LIMITS)
 
 
@@ -436,9 +369,3 @@ def test_an_engine_that_lets_only_others_in(monkeypatch: pytest.MonkeyPatch, lau
             Containers().check(Entrant("alice", image="alice/agent:1"), _LIMITS)
     finally:
         os.seteuid(user)
-
-
-def test_an_engine_that_is_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/docker.sock")
-    with pytest.raises(ConfigError, match=r"no container engine answers at unix://.*start Docker"):
-        Containers().check(Entrant("alice", image="alice/agent:1"), _LIMITS)

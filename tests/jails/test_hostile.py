@@ -52,7 +52,7 @@ bank_seconds = 3
 start_seconds = 30
 memory = "256m"
 tmp = "16m"
-shm = "16m"
+shm = "8m"
 pids = 64
 log = "256k"
 [tasks.easy]
@@ -181,10 +181,12 @@ def test_nothing_was_found_or_reached(held: Held) -> None:
             assert treasure not in log
 
 
-def test_the_disk_was_full_at_its_limit(held: Held) -> None:
+def test_every_disk_was_full_at_its_limit(held: Held) -> None:
     log = held.log("fills")
     assert "/tmp: No space left on device after 16 MiB" in log
+    assert "/dev/shm: No space left on device after 8 MiB" in log
     assert "/run/glue: Read-only file system after 0 MiB" in log
+    assert log.count(" after 0 MiB") == 8
 
 
 def test_what_was_printed_was_kept_up_to_its_limit(held: Held) -> None:
