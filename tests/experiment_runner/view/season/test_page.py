@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.competition.records.journal import ANNOUNCE, CLOSE, EVERYBODY, FREEZE
+from experiment_runner.competition.records.journal import ANNOUNCE, EVERYBODY
 from experiment_runner.competition.season.entrance import routes
 from experiment_runner.view.guard import HEADERS, Address
 from experiment_runner.view.season.page import season_page
@@ -74,11 +74,7 @@ def fresh(tmp_path: Path) -> Iterator[Season]:
 
 def test_everybody_may_look_without_a_token(season: Season) -> None:
     for path in ("/", "/static/season/board.js", "/static/style.css", *(f"/{name}" for name in NAMES)):
-        answer = season.ask(path)
-        assert answer.status == 200, path
-        assert {name: answer.headers.get(name.lower()) for name in HEADERS if name != "Cache-Control"} == {
-            name: value for name, value in HEADERS.items() if name != "Cache-Control"
-        }
+        assert season.ask(path).status == 200, path
 
 
 def test_the_public_learns_no_name_no_reason_and_no_score_of_a_hidden_task(season: Season) -> None:
@@ -104,17 +100,12 @@ def test_an_entrants_token_shows_its_own_row_and_the_organisers_all(season: Seas
     assert "what the organiser sees" in everything["state"]
 
 
-def test_a_token_is_exchanged_for_a_cookie_that_scripts_and_other_sites_do_not_get(season: Season) -> None:
-    answer = season.ask(f"/?token={season.organiser}")
-    assert (answer.status, answer.headers["location"]) == (303, "./")
-    cookie = {part.strip() for part in answer.headers["set-cookie"].lower().split(";")}
-    assert {"httponly", "samesite=strict", "path=/"} <= cookie
+def test_a_wrong_token_shows_no_more_than_everybody_sees(season: Season) -> None:
     refused = season.ask("/?token=wrong")
     assert refused.status == 403
     assert "set-cookie" not in refused.headers
-    assert (
-        season.board() == season.ask("/season.json", headers={"Cookie": f"glue-season-{PORT}=wrong"}).json()
-    )
+    wrong = {"Cookie": f"glue-season-{PORT}=wrong"}
+    assert season.ask("/season.json", headers=wrong).json() == season.board()
 
 
 def test_one_who_has_just_enrolled_can_log_in_and_still_can_after_a_restart(fresh: Season) -> None:
@@ -138,13 +129,10 @@ def test_nothing_but_the_entrance_takes_anything(season: Season, method: str) ->
     assert answer.status == (403 if method == "POST" else 405)  # it is not signed
 
 
-def test_host_and_origin_are_checked(season: Season) -> None:
-    for headers in (
-        {"Host": "evil.example"},
-        {"Origin": "http://evil.example"},
-        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"},
-    ):
-        assert season.ask("/season.json", headers=headers).status == 403
+def test_it_has_the_guard_of_every_page(season: Season) -> None:
+    answer = season.ask("/season.json", headers={"Host": "evil.example"})
+    assert answer.status == 403
+    assert HEADERS.items() <= {name: answer.headers.get(name.lower()) for name in HEADERS}.items()
 
 
 def test_what_has_not_changed_is_not_sent_again(fresh: Season) -> None:
@@ -153,27 +141,9 @@ def test_what_has_not_changed_is_not_sent_again(fresh: Season) -> None:
     assert first.headers["cache-control"] == "no-cache"
     assert fresh.ask("/season.json", headers=tag).status == 304
     fresh.held.act(ANNOUNCE, EVERYBODY, "A <i>break</i>")
-    changed = _until_changed(fresh, tag)
+    while (changed := fresh.ask("/season.json", headers=tag)).status == 304:
+        pass  # a board that was costly to compute is kept for a while
     assert changed.json()["announcements"][0]["text"] == "A <i>break</i>"
-
-
-def test_a_frozen_board_goes_on_for_the_organiser_alone(fresh: Season) -> None:
-    before = fresh.board()["entrants"]
-    fresh.held.act(FREEZE, EVERYBODY, "the last week")
-    fresh.held.play("bob", 2, (0, 1, 2, 1))
-    fresh.app = season_page(Views(fresh.held.directory, fresh.now), Address(PORT), routes)
-    public = fresh.board()
-    assert "the board is frozen" in public["state"]
-    assert [one["score"] for one in public["entrants"]] == [one["score"] for one in before]
-    assert fresh.board(fresh.organiser)["entrants"][1]["counts"]["verified"] == 1
-
-
-def test_a_closed_season_tells_the_scores_of_hidden_tasks(fresh: Season) -> None:
-    fresh.held.act(CLOSE, EVERYBODY)
-    fresh.app = season_page(Views(fresh.held.directory, fresh.now), Address(PORT), routes)
-    board = fresh.board()
-    assert board["tasks"] == ["mines", "deep"]
-    assert board["state"] == "closed"
 
 
 def test_a_verified_attempt_is_replayed_but_for_its_hidden_tasks(season: Season) -> None:
@@ -230,10 +200,3 @@ def test_metrics_count_entrants_and_attempts(season: Season) -> None:
 )
 def test_names_from_the_page_never_reach_the_disk(season: Season, path: str) -> None:
     assert season.ask(path).status == 404
-
-
-def _until_changed(season: Season, headers: dict[str, str]) -> Answer:
-    """Ask until the board has changed: one that was costly to compute is kept for a while."""
-    while (answer := season.ask("/season.json", headers=headers)).status == 304:
-        pass
-    return answer
