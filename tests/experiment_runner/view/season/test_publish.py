@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from experiment_runner.view.season.views import Views
 from glue.errors import ExperimentError
 from tests.experiment_runner.view.season.seasons import Held
 from tests.forked import run
-from tests.system.runs import wait_until
+from tests.system.runs import children, wait_until
 
 
 def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed(tmp_path: Path) -> None:
@@ -89,29 +90,11 @@ def test_a_page_that_is_killed_is_started_again_and_ends_with_its_server(tmp_pat
     lines: list[str] = []
     with Held(tmp_path / "spring") as held:
         with season_viewed(held.directory, {"page": "127.0.0.1:0", "insecure": False}, lines.append):
-            first = _page_of(held.directory)
+            pages = partial(children, os.getpid(), f" page {held.directory}")
+            wait_until(pages, "the page's process")
+            (first,) = pages()
             os.kill(first, signal.SIGKILL)
-            wait_until(lambda: bool(lines), "the news of its end")
+            wait_until(lambda: lines and pages(), "another one")
             assert "killed by signal 9" in lines[0]
-            second = _page_of(held.directory)
-            assert second != first
-        assert not Path(f"/proc/{second}").exists()
-
-
-def _page_of(directory: Path) -> int:
-    """Wait for the page's process; return its id."""
-    found: list[int] = []
-
-    def look() -> bool:
-        for path in Path("/proc").glob("[0-9]*/cmdline"):
-            try:
-                words = path.read_bytes().split(b"\0")
-            except OSError:
-                continue
-            if b"page" in words and str(directory).encode() in words:
-                found.append(int(path.parent.name))
-                return True
-        return False
-
-    wait_until(look, "the page's process")
-    return found[-1]
+            assert pages() != [first]
+        assert not pages()
