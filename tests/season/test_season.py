@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -62,20 +62,21 @@ start_seconds = 20
 step_seconds = 0.5
 bank_seconds = 10
 [season]
-opens = {opens}
-closes = {closes}
+opens = 2020-01-01T00:00:00
+closes = 2100-01-01T00:00:00
 enrol = "code"
 code_file = "code.txt"
 attempts_per_day = 2
 parallel = 6
 failures = 2
 [tasks]
-mines = {{ env = "mines", options.random_start = true, steps = 200, {phase} }}
-short = {{ env = "mines", options.random_start = true, episodes = 2, max_steps = 50, {phase} }}
-[entrants.walk]
-command = ["{python}", "-m", "tests.season.walk"]
+mines = { env = "mines", options.random_start = true, steps = 200, phase = "proving" }
+short = { env = "mines", options.random_start = true, episodes = 2, max_steps = 50, phase = "proving" }
 """
-LATE: Final = '[entrants.late]\ncommand = ["{python}", "-m", "tests.season.walk"]\n'
+WALK, LATE = (
+    f'[entrants.{name}]\ncommand = ["{sys.executable}", "-m", "tests.season.walk"]\n'
+    for name in ("walk", "late")
+)
 
 
 class Crashing(Walker):
@@ -104,14 +105,7 @@ class Held:
         for name, text in (("secret.txt", "xyzzy"), ("code.txt", "lemonade")):
             (folder / name).write_text(text)
             (folder / name).chmod(0o600)
-        opens = datetime.fromtimestamp(self.began, UTC) - timedelta(hours=1)
-        self.text = FILE.format(
-            opens=opens.isoformat(timespec="seconds"),
-            closes=(opens + timedelta(days=60)).isoformat(timespec="seconds"),
-            phase='phase = "proving"',
-            python=sys.executable,
-        )
-        (folder / "spring.toml").write_text(self.text)
+        (folder / "spring.toml").write_text(FILE + WALK)
         self.server = self.start()
 
     def start(self) -> subprocess.Popen[bytes]:
@@ -329,10 +323,9 @@ def done_by(held: Held, name: str, count: int) -> bool:
 
 
 def late(held: Held) -> None:
-    text = held.text + LATE.format(python=sys.executable)
-    (held.folder / "late.toml").write_text(text)
+    (held.folder / "late.toml").write_text(FILE + WALK + LATE)
     held.act("add", "late.toml")
-    (held.folder / "spring.toml").write_text(text)
+    (held.folder / "spring.toml").write_text(FILE + WALK + LATE)
 
 
 def check_log(held: Held) -> None:
@@ -361,7 +354,7 @@ def check_board(held: Held) -> None:
 
 def check_scores(held: Held, folder: Path) -> None:
     """An honest entrant has, to the last bit, the scores of a competition held at once."""
-    lines = held.text.partition("[season]")[0] + "[tasks]" + held.text.partition("[tasks]")[2]
+    lines = FILE.partition("[season]")[0] + "[tasks]" + FILE.partition("[tasks]")[2] + WALK
     (folder / "once.toml").write_text(lines.replace(', phase = "proving"', ""))
     held.type("run", "once.toml", "--out", "once")
     held.type("verify", "once")
