@@ -50,16 +50,9 @@ def of(file: str) -> pytest.MarkDecorator:
 
 def test_an_attempt_is_played_verified_and_over(season: Season) -> None:
     season.enrol("alice")
-    asked = season.ask(Attempt("alice"))
-    assert asked | {"hub": "", "session": ""} == {
-        "state": "playing",
-        "attempt": 1,
-        "trial": 1,
-        "trials": 2,
-        "hub": "",
-        "session": "",
-    }
-    assert (asked["hub"], asked["session"]) == ("tcp://127.0.0.1:4097", "alice")
+    place = {"hub": "tcp://127.0.0.1:4097", "session": "alice"}
+    playing = {"state": "playing", "attempt": 1, "trial": 1, "trials": 2}
+    assert season.ask(Attempt("alice")) == playing | place
     season.turns()
     assert season.executor.played == ["alice/mines/0", "alice/mines/1"]
     assert season.states("alice") == {1: "over"}
@@ -436,10 +429,6 @@ def test_what_may_be_changed_in_the_file_takes_effect(season: Season) -> None:
     season.attempt("alice")
     with pytest.raises(TryLater, match="has used its 1 attempts"):
         season.attempt("alice")
-    season.stack.close()
-    season.text = season.text.replace("steps = 20", "steps = 30")
-    with pytest.raises(ExperimentError, match="episodes or steps"):
-        season.start()
 
 
 def test_two_servers_do_not_serve_one_directory(season: Season) -> None:
