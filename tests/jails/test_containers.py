@@ -161,6 +161,14 @@ def test_the_last_words_are_kept(run: Run) -> None:
     assert len(said) == _LIMITS.log
 
 
+def test_it_is_charged_for_all_its_programs(run: Run) -> None:
+    container = run("import os, time\nif os.fork(): time.sleep(1000)\nwhile True: pass")
+    wait_until(lambda: (container.processor or 0.0) > 0.2, "its child to use a processor")
+    container.stop()
+    assert (container.processor or 0.0) > 0.2
+    assert (container.peak or 0) > _MEBIBYTE
+
+
 def test_what_an_organiser_that_was_killed_left_is_swept(engine: Any, run: Run, launch: Launch) -> None:
     run("import time; time.sleep(1000)")
     Containers().sweep("another run")

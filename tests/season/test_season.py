@@ -79,6 +79,19 @@ WALK, LATE = (
 )
 
 
+ADDED: Final = 4
+ACTS: Final[dict[int, tuple[str, int, list[str]]]] = {
+    2: (HONEST[0], 0, ["grant", HONEST[0], "1"]),
+    3: ("crash1", 0, ["exclude", "crash1"]),
+    ADDED: ("walk", 0, ["add", "late.toml"]),
+    5: ("walk", 0, ["freeze"]),
+    6: ("walk", 1, ["rerun", "walk"]),
+    7: ("walk", 1, ["announce", "Lunch is at noon"]),
+    8: (HONEST[1], 1, ["rerun", HONEST[1]]),
+}
+"""What the organiser does after a kill, once an entrant has so many attempts that are over."""
+
+
 class Crashing(Walker):
     def agent_step(self, reward: float, observation: Any) -> Any:
         raise ValueError("no idea")
@@ -106,6 +119,7 @@ class Held:
             (folder / name).write_text(text)
             (folder / name).chmod(0o600)
         (folder / "spring.toml").write_text(FILE + WALK)
+        (folder / "late.toml").write_text(FILE + WALK + LATE)
         self.server = self.start()
 
     def start(self) -> subprocess.Popen[bytes]:
@@ -270,15 +284,6 @@ def test_a_season_of_some_days(tmp_path: Path, ports: int) -> None:
         "flood": partial(flood, held),
         "pose": partial(pose, held),
     }
-    acts = {
-        2: lambda: held.act("grant", HONEST[0], "1"),
-        3: lambda: held.act("exclude", "crash1"),
-        4: lambda: late(held),
-        5: lambda: held.act("freeze"),
-        6: lambda: held.act("rerun", "walk"),
-        7: lambda: held.act("announce", "Lunch is at noon"),
-        8: lambda: held.act("rerun", HONEST[1]),
-    }
     chance = random.Random(5)
     with ThreadPoolExecutor(len(players)) as threads:
         playing = {name: threads.submit(one) for name, one in players.items()}
@@ -286,9 +291,12 @@ def test_a_season_of_some_days(tmp_path: Path, ports: int) -> None:
             for kill in range(KILLS):
                 time.sleep(chance.uniform(0, LONGEST_LIFE))
                 held.kill()
-                if kill in acts:
-                    wait_until(partial(done_by, held, *_FIRST[kill]), "what the act is about")
-                    acts[kill]()
+                if kill in ACTS:
+                    name, count, act = ACTS[kill]
+                    wait_until(partial(done_by, held, name, count), "what the act is about")
+                    held.act(*act)
+                if kill == ADDED:
+                    (tmp_path / "spring.toml").write_text(FILE + WALK + LATE)
             ends = [name for name in players if name not in ("flood", "pose")]
             verified = {name: playing[name].result(600) for name in ends}
         finally:
@@ -305,27 +313,9 @@ def test_a_season_of_some_days(tmp_path: Path, ports: int) -> None:
     check_scores(held, tmp_path)
 
 
-_FIRST: Final = {
-    2: (HONEST[0], 0),
-    3: ("crash1", 0),
-    4: ("walk", 0),
-    5: ("walk", 0),
-    6: ("walk", 1),
-    7: ("walk", 1),
-    8: (HONEST[1], 1),
-}
-"""The entrant, and the number of its attempts that are over, after which each act can be."""
-
-
 def done_by(held: Held, name: str, count: int) -> bool:
     entrant = held.state().entrants.get(name)
     return entrant is not None and sum(one.state == "over" for one in entrant.attempts.values()) >= count
-
-
-def late(held: Held) -> None:
-    (held.folder / "late.toml").write_text(FILE + WALK + LATE)
-    held.act("add", "late.toml")
-    (held.folder / "spring.toml").write_text(FILE + WALK + LATE)
 
 
 def check_log(held: Held) -> None:
