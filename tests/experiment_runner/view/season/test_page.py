@@ -15,21 +15,14 @@ from experiment_runner.competition.season.entrance import routes
 from experiment_runner.view.guard import HEADERS, Address
 from experiment_runner.view.season.page import season_page
 from experiment_runner.view.season.views import Views, organisers_token
+from tests.experiment_runner.competition.season import inside
 from tests.experiment_runner.competition.season.inside import SECRET, Raising, Season
 from tests.experiment_runner.view.pages import Answer, asked
 
 PORT = 8097
-FILE = """\
-name = "<b>spring</b>"
-trials = 2
-seed_env = "SECRET"
-[season]
-opens = 2026-11-01T00:00:00
-closes = 2027-12-01T00:00:00
-enrol = "open"
-parallel = 2
-[tasks]
-mines = { env = "mines", options.random_start = true, episodes = 2, max_steps = 30, phase = "proving" }
+FILE = (
+    inside.FILE.replace("steps = 20", "episodes = 2, max_steps = 30")
+    + """\
 [tasks.deep]
 env = "mines"
 options = { random_start = true }
@@ -38,6 +31,7 @@ max_steps = 20
 phase = "proving"
 hidden = true
 """
+)
 OTTER, MOLE = (pseudonym(name, SECRET, ()) for name in ("alice", "bob"))
 NAMES = ("season.json", f"entrants/{OTTER}.json", "feed.xml", f"replays/{OTTER}/1.json")
 
