@@ -125,7 +125,8 @@ def test_an_attempt_costs_nothing_more_when_the_engine_is_started_again(
     assert served.server.wait(60) == 0
     assert forked.run("glue-compete", "verify", "run", cwd=tmp_path).returncode == 0
     with Results.open(served.run) as results:
-        assert any("engine" in event.text for event in results.events())
+        lost = "went away" if how is signal.SIGKILL else "was told to kill"
+        assert any(f"the container engine {lost}" in event.text for event in results.events())
 
 
 def _process_of_our_engine() -> int:

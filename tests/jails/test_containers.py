@@ -9,7 +9,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -258,70 +257,16 @@ def test_an_entrant_is_the_image_that_its_name_stood_for(image: Callable[..., st
     assert launch.log.read_text() == "the first\n"
 
 
-class Gateway:
-    """Another address of the engine, which can be cut off."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._engine = os.environ.get("DOCKER_HOST", "unix:///var/run/docker.sock").removeprefix("unix://")
-        self._open: list[socket.socket] = []
-
-    def open(self) -> None:
-        listening = socket.socket(socket.AF_UNIX)
-        listening.bind(str(self.path))
-        listening.listen()
-        self._open.append(listening)
-        threading.Thread(target=self._serve, args=(listening,), daemon=True).start()
-
-    def cut(self) -> None:
-        self.path.unlink()
-        while self._open:
-            one = self._open.pop()
-            with suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
-
-    def _serve(self, listening: socket.socket) -> None:
-        with suppress(OSError):
-            while True:
-                client, _ = listening.accept()
-                engine = socket.socket(socket.AF_UNIX)
-                engine.connect(self._engine)
-                self._open += [client, engine]
-                for pair in ((client, engine), (engine, client)):
-                    threading.Thread(target=self._pump, args=pair, daemon=True).start()
-
-    @staticmethod
-    def _pump(one: socket.socket, other: socket.socket) -> None:
-        with suppress(OSError):
-            while data := one.recv(2**16):
-                other.sendall(data)
-            other.shutdown(socket.SHUT_WR)
-
-
-@pytest.fixture
-def gateway(engine: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Gateway]:
-    made = Gateway(tmp_path / "engine")
-    monkeypatch.setenv("DOCKER_HOST", f"unix://{made.path}")
-    made.open()
-    yield made
-    made.cut()
-
-
 def test_an_engine_that_is_away_is_waited_for(
-    gateway: Gateway, image: Callable[..., str], launch: Launch
+    image: Callable[..., str], launch: Launch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """What becomes of one that goes away is in `test_attempts.py`."""
     entrant = Entrant("alice", image=image("CMD exec sleep 1000"))
-    containers = Containers()
-    containers.check(entrant, _LIMITS)
-    gateway.cut()
-    threading.Timer(3.0, gateway.open).start()
-    container = containers.start(entrant, _LIMITS, launch)
+    engine = os.environ.get("DOCKER_HOST", "unix:///var/run/docker.sock").removeprefix("unix://")
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/engine")
+    threading.Timer(3.0, (tmp_path / "engine").symlink_to, [engine]).start()
+    container = Containers().start(entrant, _LIMITS, launch)
     assert container.lost is None
-    gateway.cut()
-    assert container.wait(_SECONDS)
-    assert container.lost == "the container engine went away"
-    threading.Timer(3.0, gateway.open).start()
     container.stop()
 
 
