@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import http.client
 import json
-import socket
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import uvicorn
 from starlette.applications import Starlette
 
-from experiment_runner.competition.season.control import Door, Key, Reply, Request
+from experiment_runner.competition.season.control import Key, Reply, Request
 from experiment_runner.competition.season.entrance import routes
 from glue.client.libzmq import new_pair
 from glue.client.season import PREFIX, Membership
 from glue.errors import ExperimentError
 from glue.keys.certificates import KeyPair, encode, write_pair
 from glue.keys.requests import signed
+from tests.experiment_runner.competition.season.test_control import served
+from tests.experiment_runner.view.pages import in_thread
 
 FILE = """\
 name = "spring"
@@ -116,28 +114,10 @@ def entrance_at(
     """Open an entrance, with a server behind it or without one."""
     folder.mkdir()
     (folder / "competition.toml").write_text(text)
-    entrance, over = Entrance(folder), threading.Event()
-
-    def serve() -> None:
-        with Door(folder) as door:
-            while not over.is_set():
-                door.serve(entrance.answer, 0.01)
-
-    app = Starlette(routes=routes(folder, now))
-    config = uvicorn.Config(app, log_config=None, log_level="critical", lifespan="off", ws="none")
-    page = uvicorn.Server(config)
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        entrance.port = listening.getsockname()[1]
-        threads = [threading.Thread(target=lambda: asyncio.run(page.serve([listening])))]
-        threads += [threading.Thread(target=serve)] if server else []
-        for each in threads:
-            each.start()
-        try:
-            while not page.started or (server and not (folder / "control").exists()):
-                time.sleep(0.01)
-            yield entrance
-        finally:
-            over.set()
-            page.should_exit = True
-            for each in threads:
-                each.join()
+    entrance = Entrance(folder)
+    with ExitStack() as stack:
+        if server:
+            stack.enter_context(served(folder, entrance.answer))
+        app = Starlette(routes=routes(folder, now))
+        entrance.port = stack.enter_context(in_thread(lambda port: app, log_level="critical", ws="none"))
+        yield entrance

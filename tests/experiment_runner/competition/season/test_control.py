@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -37,25 +37,28 @@ def answer(request: Request) -> Reply:
 
 
 @contextmanager
-def served(directory: Path) -> Iterator[Path]:
+def served(directory: Path, answer: Callable[[Request], Reply] = answer) -> Iterator[None]:
+    """Answer requests in a thread."""
     over = threading.Event()
-    with Door(directory) as made:
+    with Door(directory) as door:
 
         def serve() -> None:
             while not over.is_set():
-                made.serve(answer, 0.01)
+                door.serve(answer, 0.01)
 
         server = threading.Thread(target=serve)
         server.start()
-        yield directory
-        over.set()
-        server.join()
+        try:
+            yield
+        finally:
+            over.set()
+            server.join()
 
 
 @pytest.fixture
 def door(tmp_path: Path) -> Iterator[Path]:
-    with served(tmp_path) as door:
-        yield door
+    with served(tmp_path):
+        yield tmp_path
 
 
 def test_a_request_has_one_reply(door: Path) -> None:
@@ -143,5 +146,5 @@ def test_a_reply_that_is_cut_off_is_no_reply(tmp_path: Path) -> None:
 def test_a_deep_directory_has_a_socket(tmp_path: Path) -> None:
     deep = tmp_path.joinpath(*["x" * 60] * 3)
     deep.mkdir(parents=True)
-    with served(deep) as door:
-        assert ask(door, {"do": "status"})["ok"]
+    with served(deep):
+        assert ask(deep, {"do": "status"})["ok"]
