@@ -65,21 +65,17 @@ def test_who_joins_has_all_that_is_needed_in_a_file(entrance: Entrance, tmp_path
     assert (done.returncode, "cannot be a name" in done.stderr) == (2, True)
 
 
-def test_an_attempt_that_an_image_plays_is_waited_for(entrance: Entrance, tmp_path: Path) -> None:
+def test_an_attempt_that_an_image_plays_is_waited_for_and_its_result_is_the_output(
+    entrance: Entrance, tmp_path: Path
+) -> None:
     playing = {"state": "playing", "attempt": 2, "trial": 1, "trials": 1, "session": "alice"}
-    entrance.replies = [playing, {"state": "over", "attempt": 2, "place": None}]
-    done = run(tmp_path, "glue-agent", "random", "--season", "season.toml")
-    assert (done.returncode, done.stdout) == (0, "attempt 2 is over\n"), done.stderr
-    assert "Error" not in done.stderr
-
-
-def test_an_attempt_is_played_and_its_result_is_the_output(entrance: Entrance, tmp_path: Path) -> None:
     over = {"state": "over", "attempt": 2, "score": 7.5, "place": 1, "of": 3, "left": 4}
-    entrance.replies = [{"state": "verifying", "attempt": 2}, over]
+    entrance.replies = [playing, {"state": "verifying", "attempt": 2}, over]
     done = run(tmp_path, "glue-agent", "random", "--season", "season.toml")
     assert done.returncode == 0, done.stderr
     assert done.stdout == "attempt 2 is over; score 7.5; place 1 of 3; attempts left: 4\n"
-    assert entrance.asked == [Attempt("alice"), Attempt("alice", 2)]
+    assert "Error" not in done.stderr
+    assert entrance.asked == [Attempt("alice"), Attempt("alice", 2), Attempt("alice", 2)]
 
 
 def test_a_program_that_is_missing_costs_no_attempt(entrance: Entrance, tmp_path: Path) -> None:
