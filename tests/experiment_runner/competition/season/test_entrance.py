@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import fcntl
 import io
-import socket
 import time
 from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from experiment_runner.competition.season.control import Attempt, TryLater, With
 from experiment_runner.competition.season.entrance import Denied, Rate, address_of, routes
 from experiment_runner.competition.season.trying import competition_of
 from glue.client.libzmq import new_pair
-from glue.client.season import Page, Season, SeasonBusy, SeasonRefused, join
+from glue.client.season import PREFIX, Page, Season, SeasonBusy, SeasonRefused, join
 from glue.errors import ExperimentError
 from glue.keys.certificates import encode, write_pair
 from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
@@ -185,19 +186,13 @@ def test_a_second_page_removes_what_was_left_and_nothing_that_is_received(entran
     assert not left(entrance)
 
 
-def begin(entrance: Entrance, size: int, content: bytes, method: str, what: str) -> socket.socket:
-    """Begin to send a request."""
-    headers = entrance.headers(b"x" * size, what, method=method) | {
-        "Host": "here",
-        "Content-Length": str(size),
-    }
-    lines = [
-        f"{method} /season/api/{what} HTTP/1.1",
-        *(f"{name}: {value}" for name, value in headers.items()),
-    ]
-    connected = socket.create_connection(("127.0.0.1", entrance.port))
-    connected.sendall("\r\n".join([*lines, "", ""]).encode() + content)
-    return connected
+@contextmanager
+def begun(entrance: Entrance, size: int, content: bytes, method: str, what: str) -> Iterator[HTTPConnection]:
+    """Begin to send a request of this size."""
+    headers = entrance.headers(b"x" * size, what, method=method) | {"Content-Length": str(size)}
+    with closing(HTTPConnection("127.0.0.1", entrance.port, timeout=60)) as connection:
+        connection.request(method, PREFIX + what, content, headers)
+        yield connection
 
 
 @pytest.mark.parametrize("what", ["join", "attempt"])
@@ -205,8 +200,8 @@ def test_a_body_that_does_not_come_holds_nothing(
     entrance: Entrance, what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("experiment_runner.competition.season.entrance._JSON_SECONDS", 0.05)
-    with begin(entrance, 100, b"{", "POST", what) as connected:
-        assert connected.recv(100).startswith(b"HTTP/1.1 408 ")
+    with begun(entrance, 100, b"{", "POST", what) as connection:
+        assert connection.getresponse().status == 408
 
 
 def test_an_upload_that_comes_too_slowly_holds_nothing(
@@ -215,9 +210,9 @@ def test_an_upload_that_comes_too_slowly_holds_nothing(
     monkeypatch.setattr("experiment_runner.competition.season.entrance._GRACE_SECONDS", 0.05)
     with (
         entrance_at(tmp_path / "run") as entrance,
-        begin(entrance, 2**20, b"x" * 100, "PUT", "image") as slow,
+        begun(entrance, 2**20, b"x" * 100, "PUT", "image") as slow,
     ):
-        assert slow.recv(100).startswith(b"HTTP/1.1 408 ")
+        assert slow.getresponse().status == 408
         wait_until(lambda: not left(entrance), "its end")
 
 
@@ -240,7 +235,7 @@ def test_a_machine_that_cannot_keep_an_image_says_so(tmp_path: Path) -> None:
 
 def test_an_upload_that_stops_half_way_leaves_nothing_and_is_one_at_a_time(tmp_path: Path) -> None:
     with entrance_at(tmp_path / "run") as entrance:
-        with begin(entrance, 100_000, b"x" * 50_000, "PUT", "image"):
+        with begun(entrance, 100_000, b"x" * 50_000, "PUT", "image"):
             wait_until(lambda: len(left(entrance)) == 1, "the upload")
             season = Season(entrance.membership(tmp_path))
             with pytest.raises(SeasonBusy, match="another image"):
