@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -214,11 +214,3 @@ def test_two_checks_at_once_leave_each_others_containers_alone(
     arguments = [sys.executable, "-P", "-m", *_COMMAND, "check", str(tmp_path / "competition.toml"), "--out"]
     checks = [subprocess.Popen([*arguments, str(tmp_path / out)], cwd=ROOT) for out in ("a", "b", "c")]
     assert [check.wait(_SECONDS) for check in checks] == [0, 0, 0]
-
-
-@pytest.fixture(autouse=True, scope="module")
-def shown(held: Held) -> Iterator[None]:
-    """Print the standings, for readers of the test log."""
-    yield
-    board = _compete("board", held.directory).stdout
-    os.write(1, f"\n{board}\n".encode())

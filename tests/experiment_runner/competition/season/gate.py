@@ -20,21 +20,13 @@ from glue.client.season import PREFIX, Membership
 from glue.errors import ExperimentError
 from glue.keys.certificates import KeyPair, encode, write_pair
 from glue.keys.requests import signed
+from tests.experiment_runner.competition.season import inside
 from tests.experiment_runner.competition.season.test_control import served
 from tests.experiment_runner.view.pages import in_thread
 
-FILE = """\
-name = "spring"
-trials = 2
-seed_file = "secret.txt"
-[season]
-opens = 2026-12-01T08:00:00Z
-closes = 2026-12-22T20:00:00Z
-enrol = "open"
-images = true
-most_bytes = "1m"
-[tasks]
-mines = { env = "mines", options = { random_start = true }, steps = 20, phase = "proving" }
+FILE = (
+    inside.FILE.replace("failures = 2", 'images = true\nmost_bytes = "1m"')
+    + """\
 final = { env = "skeleton", episodes = 3 }
 [tasks.secret]
 env = "mines"
@@ -44,6 +36,7 @@ rate = 50
 phase = "proving"
 hidden = true
 """
+)
 
 
 class Entrance:

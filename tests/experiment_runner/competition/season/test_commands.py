@@ -89,8 +89,7 @@ def test_a_program_that_is_missing_costs_no_attempt(entrance: Entrance, tmp_path
 def test_what_has_no_season_is_not_served(tmp_path: Path) -> None:
     text = FILE.partition("[season]")[0] + "tasks.a = { env = 'mines', steps = 9 }\n"
     (tmp_path / "file.toml").write_text(text + "entrants.a = { command = ['true'] }\n")
-    (tmp_path / "secret.txt").write_text("nobody knows")
-    done = run(tmp_path, "glue-compete", "serve", "file.toml", "--out", "run")
+    done = run(tmp_path, "glue-compete", "serve", "file.toml", "--out", "run", SECRET="nobody knows")
     assert (done.returncode, "file.toml has no table [season]" in done.stderr) == (2, True)
     assert not (tmp_path / "run").exists()
 
