@@ -27,7 +27,15 @@ from experiment_runner.executors.job import (
 from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.recording import Extras, Meter, Recorder
 from experiment_runner.store.database import StorageError
-from experiment_runner.store.records import Checkpoint, EndedEpisode, EpisodeResult, Reading, ask, measured
+from experiment_runner.store.records import (
+    UNMETERED,
+    Checkpoint,
+    EndedEpisode,
+    EpisodeResult,
+    Reading,
+    ask,
+    measured,
+)
 from glue.console import show_failure
 from glue.engine.experiment import Experiment
 from glue.errors import (
@@ -247,9 +255,9 @@ class _Trial:
             return ()
         readings = self._meter.end(result)
         if self._meter.missing:
-            self._warn("unmetered", f"no metrics are recorded: {self._meter.missing}")
+            self._warn(UNMETERED, f"no metrics are recorded: {self._meter.missing}")
         for why in self._extras.missing() if self._extras is not None else ():
-            self._warn("unmetered", why)
+            self._warn(UNMETERED, why)
         return readings
 
     def _void(self, error: PeerLost) -> None:

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.cli.plot import plot
+from experiment_runner.cli.results import results as results_command
 from experiment_runner.executors.recording import Extras, Meter
 from experiment_runner.plan.file import dump_plan, parse_plan
 from experiment_runner.plan.limits import REMOTE, TrialId
@@ -185,6 +186,16 @@ def test_a_run_has_a_column_for_each_extra(run: Path) -> None:
         height = [*types].index("height")
         assert [row[height] for rows in trials for row in rows] == [5.0, 4.0, 5.0, 4.0]
         assert [event.text for event in results.events() if event.kind == "unmetered"] == []
+
+
+def test_a_metric_of_another_label_than_any_here_is_named_at_the_end(tmp_path: Path) -> None:
+    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:Still")
+    metrics = ("--metric=Climbign.height=max", "--metric=Climbing.steps=sum", "--metric=Climbing.hight=max")
+    command = [*names, *metrics, "--episodes=2", "--in-process", f"--out={tmp_path / 'run'}"]
+    result = CliRunner().invoke(experiment, command, standalone_mode=False)
+    said = "metric Climbign.height never had a value: no such extra came from Climbing"
+    assert [line for line in result.output.splitlines() if "never had" in line] == [said]
+    assert said in CliRunner().invoke(results_command, ["show", str(tmp_path / "run")]).output
 
 
 def test_an_extra_is_plotted_by_the_name_of_its_column(run: Path, tmp_path: Path) -> None:

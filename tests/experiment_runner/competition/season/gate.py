@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
+from starlette.types import Receive, Scope, Send
 
 from experiment_runner.competition.season.control import Key, Reply, Request
 from experiment_runner.competition.season.entrance import routes
 from glue.client.libzmq import new_pair
-from glue.client.season import PREFIX, Membership
+from glue.client.season import PREFIX, Membership, Page
 from glue.errors import ExperimentError
 from glue.keys.certificates import KeyPair, encode, write_pair
 from glue.keys.requests import signed
@@ -56,6 +57,10 @@ class Entrance:
         self.pair = new_pair()
         self.port = 0
 
+    def start(self, now: Callable[[], float] = time.time) -> None:
+        """Start the page, for the first time or again."""
+        self.app = Starlette(routes=routes(self.folder, now))
+
     @property
     def url(self) -> str:
         return f"http://127.0.0.1:{self.port}"
@@ -77,9 +82,10 @@ class Entrance:
         method: str = "POST",
         now: float | None = None,
     ) -> dict[str, str]:
-        """Return the headers of a request of alice."""
+        """Return the headers of a request of alice to the page as it was started last."""
         digest = hashlib.sha256(content).hexdigest()
-        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, now or time.time())
+        start = str(Page(self.url).ask("GET", "start")["start"])
+        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, start, now or time.time())
 
     def ask(
         self, content: bytes = b"{}", headers: Mapping[str, str] | None = None, what: str = "attempt"
@@ -108,9 +114,13 @@ def entrance_at(
     folder.mkdir()
     (folder / "competition.toml").write_text(text)
     entrance = Entrance(folder)
+    entrance.start(now)
+
+    async def page(scope: Scope, receive: Receive, send: Send) -> None:
+        await entrance.app(scope, receive, send)
+
     with ExitStack() as stack:
         if server:
             stack.enter_context(served(folder, entrance.answer))
-        app = Starlette(routes=routes(folder, now))
-        entrance.port = stack.enter_context(in_thread(lambda port: app, log_level="critical", ws="none"))
+        entrance.port = stack.enter_context(in_thread(lambda port: page, log_level="critical", ws="none"))
         yield entrance
