@@ -144,11 +144,7 @@ def test_a_bundle_has_no_other_level_than_was_played(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
-        (
-            'env = "mario"\noptions = { instance = 9 }',
-            'env = "mines"',
-            "task own: mines reads no levels from files",
-        ),
+        ('"mario"\noptions = { instance = 9 }', '"mines"', "task own: mines reads no levels from files"),
         ("instance = 9", 'level = "one.txt"', r"task own: levels from files are not an option: levels = \["),
         ("two.txt", "three.txt", r"three\.txt: No such file"),
         ('["one.txt", "two.txt"]', '"one.txt"', "levels must be a list"),

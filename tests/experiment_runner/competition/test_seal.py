@@ -70,6 +70,7 @@ EDITS: dict[str, tuple[str, Callable[[Store], None]]] = {
     "episodes": ("verdicts", lambda store: update(store, "UPDATE episodes SET steps = 9")),
     "outcomes": ("outcomes", lambda store: update(store, "UPDATE outcomes SET reason = 'it left'")),
     "trials": ("trials", lambda store: update(store, "UPDATE trials SET seed = 9")),
+    "a trial less": ("trials", lambda store: update(store, "DELETE FROM trials")),
     "journal": ("lines", lambda store: journal.append(store.directory, b"{}\n")),
     "file": ("competition.toml", lambda store: _append(store.directory / "competition.toml")),
     "about": ("run.json", lambda store: _append(store.directory / "run.json")),

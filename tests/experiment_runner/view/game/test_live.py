@@ -63,8 +63,8 @@ def test_a_page_sees_what_is_played_and_the_run_does_not_change(page: Page, tmp_
         assert live.hub.startswith("ipc:///")
         topic = f"live:{run_id}"
         stream, known = page.stream(f"topic={topic}"), dict[str, Any]()
-        steps = set()
-        for _ in range(6):
+        steps: set[int] = set()
+        while len(steps) < 3:
             moment = until(stream, topic, "moment", known)
             body = base64.b64decode(moment["seen"])
             cut = body_size(body)
@@ -76,7 +76,6 @@ def test_a_page_sees_what_is_played_and_the_run_does_not_change(page: Page, tmp_
                 assert moment["return"] == -moment["step"]  # each step costs 1
                 assert moment["reward"] == (-1 if moment["step"] else 0)
             steps.add(moment["step"])
-        assert len(steps) > 2
         assert (known["trial"], known["trials"], known["spec"]["extra"]) == (trial, [trial], "mines")
         other = page.stream(f"topic=live:{run_id}/{trial}")
         assert until(other, f"{topic}/{trial}", "moment", {})
