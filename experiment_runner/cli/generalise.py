@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import click
 
-from experiment_runner.cli.options import backend_options, check_backend, naming_out
+from experiment_runner.cli.options import backend_options, check_address, naming_out
 from experiment_runner.plan.limits import Backend
 from glue import __version__
 from glue.console import say
@@ -184,7 +184,7 @@ def generalise(
         address=address,
         questions=(LAST_REWARD, LAST_ACTIONS, *benchmark.questions),
     )
-    check_backend(config)
+    check_address(config.backend, address)
     is_file = out is not None and out.suffix == ".json"
     given = out.with_suffix("") if out is not None and is_file else out
     with ExitStack() as stack:

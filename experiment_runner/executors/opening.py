@@ -242,11 +242,6 @@ def go_back(store: Store, trial: Remaining) -> None:
     store.rewind(trial.trial_id, trial.after)
 
 
-def finished_at(results: Results) -> float | None:
-    """Return the time at which a run was finished, in seconds since 1970; None if it was not recorded."""
-    return max((event.time for event in results.events() if event.kind == FINISH), default=None)
-
-
 def lengthen(store: Store, specs: Sequence[TrialSpec], say: Callable[[str], None]) -> None:
     """Add trials to a run, or make its trials longer.
 

@@ -22,7 +22,7 @@ from env_server.replay.episodes import (
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.executors.job import BEGINNING, BOTH, Ended, Job, Placement, Report, RunConfig, Start
-from experiment_runner.executors.recording import Recorder, recorded
+from experiment_runner.executors.recording import Meter, Recorder, recorded
 from experiment_runner.executors.trial import run_job
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
@@ -284,7 +284,7 @@ def test_recording_says_which_steps_were_late_and_replays(tmp_path: Path) -> Non
         spec = TrialSpec(
             TrialId("random/skeleton/0"), RoleSpec("random"), RoleSpec("skeleton"), 1, 10, seed=3
         )
-        recorder = Recorder(writer, spec, glue)
+        recorder = Recorder(writer, spec, glue, Meter(glue, None))
         recorder.begin(glue.rl_init(spec.seed), continued=False)
         recorder.rl_episode(max_steps=10)
 
