@@ -22,15 +22,14 @@ from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 
-from agents.mario.agent import SarsaOptions, Seed
+from agents.mario.agent import SarsaOptions, Seed, SeededAgent
 from agents.soar.kernel import Kernel, SoarLink, require_soar
 from agents.soar.mario_link import MarioLink
 from agents.soar.task_link import TaskLink
 from glue.errors import ConfigError, SaveError
 from glue.options import Option
-from glue.roles import Agent
 from glue.saves import Saved, pack, unpack
-from glue.taskspec import MARIO, TaskSpec, parse_task_spec
+from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import Action, Observation
 
 PRODUCTIONS: Final = Path(__file__).parent / "productions"
@@ -52,7 +51,7 @@ _RULE: Final = re.compile(
 _QUOTED: Final = re.compile(r"\|[^|{}\n]*\|")
 
 
-class SoarPlayer(Agent):
+class SoarPlayer(SeededAgent):
     """An agent made of Soar productions.
 
     Args:
@@ -64,16 +63,13 @@ class SoarPlayer(Agent):
         ConfigError: soar-sml is not installed, or there is no such file.
     """
 
-    name: ClassVar[str]
-
     def __init__(self, productions: Path, max_cycles: int, seed: int | None) -> None:
         require_soar()
         if not productions.is_file():
             raise ConfigError(f"there is no file of productions {str(productions)!r}")
         self._productions = productions
         self._max_cycles = max_cycles
-        self._own_seed = seed
-        self._seed = seed or 0
+        super().__init__(seed)
         self._task: TaskSpec | None = None
         self._kernel: Kernel | None = None
         self._link: SoarLink | None = None
@@ -91,11 +87,6 @@ class SoarPlayer(Agent):
     def _commands(self) -> Iterable[str]:
         """Return the commands that apply the agent's options, once the productions have been loaded."""
         return ()
-
-    def agent_seed(self, seed: int) -> None:
-        """Seed every random choice after the next init, unless the option `seed` was given."""
-        if self._own_seed is None:
-            self._seed = seed
 
     def agent_init(self, task_spec: str) -> None:
         """Forget everything, and load the productions into a new kernel.
@@ -207,7 +198,7 @@ class SoarPlayer(Agent):
         once = _text(saved, "once").split("\n")
         seed, episodes, cycles = (saved.number(name) for name in ("seed", "episodes", "cycles"))
         kernel = self._new_kernel()
-        kernel.skip_once(once)
+        kernel.once.update(once)
         kernel.command("production excise --rl")
         for rule in reversed(rules):  # Soar prints the newest first
             kernel.command(rule)
@@ -330,11 +321,7 @@ class SoarHierarchicalAgent(SoarPlayer):
         )
 
     def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
-        if task.version != MARIO:
-            raise ConfigError(
-                f"agent {self.name} plays Infinite Mario only, whose task spec begins VERSION {MARIO}; "
-                f"it received {str(task)!r:.80}: use it with the environment mario"
-            )
+        self._check_task(task.version, str(task))
         return MarioLink(kernel, task)
 
 

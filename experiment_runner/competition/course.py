@@ -37,7 +37,7 @@ class Course:
 
     Args:
         competition: as it was at the start.
-        acts: of its journal; none in a run of version 0.3.
+        acts: of its journal.
     """
 
     competition: Competition
@@ -46,10 +46,7 @@ class Course:
     @property
     def entrants(self) -> Mapping[str, Act]:
         """The entrants by name, with the act that admitted each, which has its present player and id."""
-        found = {
-            one.name: Act("", journal.ENTER, one.name, "", player=one.player)
-            for one in self.competition.entrants
-        }
+        found: dict[str, Act] = {}
         for one in self.acts:
             if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
                 found[one.subject] = one

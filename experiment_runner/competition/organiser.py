@@ -233,6 +233,7 @@ class Matches(Closing):
 
     Attributes:
         matches: by the ids of their trials.
+        dispatcher: of the jobs, once they may begin.
     """
 
     def __init__(self, store: Store, say: Say) -> None:
@@ -241,17 +242,10 @@ class Matches(Closing):
         self._say = say
         self._records: dict[str, RecordFile] = {}
         self._forfeits: dict[str, str] = {}
-        self._dispatcher: Dispatcher | None = None
-
-    @property
-    def dispatcher(self) -> Dispatcher:
-        """The dispatcher of the jobs, once they may begin."""
-        assert self._dispatcher is not None
-        return self._dispatcher
 
     def begin(self, dispatcher: Dispatcher) -> None:
         """Take the dispatcher of the jobs."""
-        self._dispatcher = dispatcher
+        self.dispatcher: Dispatcher = dispatcher
 
     def play(self, match: Match) -> None:
         """Let a match wait for its start."""

@@ -227,8 +227,11 @@ class Plan:
         """The pace of every environment."""
         return Pace(self.rate, self.late, self.delay)
 
-    def expand(self) -> list[TrialSpec]:
+    def expand(self, numbers: range | None = None) -> list[TrialSpec]:
         """Return every trial; those of one combination follow each other.
+
+        Args:
+            numbers: of the trials of each combination; None for those from 0.
 
         Raises:
             SettingError: two trials would have the same id, as when a value is listed twice.
@@ -237,7 +240,7 @@ class Plan:
         for (agent_part, agent), (environment_part, environment) in itertools.product(
             _expand_role(self.agents), _expand_role(self.environments)
         ):
-            for number in range(self.trials):
+            for number in range(self.trials) if numbers is None else numbers:
                 name = TrialId.of(agent_part, environment_part, number)
                 seed = trial_seed(self.seed, str(number) if self.seeds == "number" else name)
                 limits = (self.episodes, self.max_steps, seed, self.steps, self.pace)

@@ -155,17 +155,14 @@ def _line(one: Act) -> dict[str, object]:
 
 
 def content(directory: Path) -> bytes:
-    """Return the complete lines of a run's journal; empty if there is none, as in a run of version 0.3.
+    """Return the complete lines of a run's journal.
 
     Raises:
         StorageError: it cannot be read.
     """
     path = directory / JOURNAL_FILE
     with reported(f"cannot read {path}"):
-        try:
-            text = read_regular(path, _MOST_BYTES)
-        except FileNotFoundError:
-            return b""
+        text = read_regular(path, _MOST_BYTES)
     return text[: text.rfind(b"\n") + 1]
 
 
