@@ -191,7 +191,7 @@ class Trial:
                     self._replay()
                     self._run_rest()
                 except PeerLost as error:
-                    self._void(error)
+                    self._send(Voided(self._done + 1, str(error)))
             self._clean_up()
 
     @property
@@ -215,7 +215,7 @@ class Trial:
                 if self._can_save:
                     raise
                 # Players that cannot be restored continue as they are; the hub initialises new ones.
-                self._void(error)
+                self._send(Voided(self._done + 1, str(error)))
                 self._report("replaced", "the lost player's learning is lost, too")
                 continue
             for why in self._meter.missing():
@@ -225,9 +225,6 @@ class Trial:
             kept = self._keep(played, stopping)
             if stopping:
                 self._interrupts.check()
-
-    def _void(self, error: PeerLost) -> None:
-        self._send(Voided(self._done + 1, str(error)))
 
     def _clean_up(self) -> None:
         """Clean up; an error is recorded, but does not affect the results."""
