@@ -13,7 +13,6 @@ actions of other productions can execute any Soar command.
 
 from __future__ import annotations
 
-import abc
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -76,13 +75,13 @@ class SoarPlayer(SeededAgent):
         self._episodes = 0
         self._cycles = 0
 
-    @abc.abstractmethod
     def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
         """Return the input and output links for a task.
 
         Raises:
             ConfigError: this agent does not play the task.
         """
+        return TaskLink(kernel, task)
 
     def _commands(self) -> Iterable[str]:
         """Return the commands that apply the agent's options, once the productions have been loaded."""
@@ -280,9 +279,6 @@ class SoarAgent(SoarPlayer):
             )
         super().__init__(Path(productions), max_cycles, seed)
 
-    def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
-        return TaskLink(kernel, task)
-
 
 class SoarMinesAgent(SoarPlayer):
     """An example of a Soar agent: it learns the way across the mines."""
@@ -291,9 +287,6 @@ class SoarMinesAgent(SoarPlayer):
 
     def __init__(self, *, max_cycles: MaxCycles = 100, seed: Seed = None) -> None:
         super().__init__(PRODUCTIONS / "mines.soar", max_cycles, seed)
-
-    def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
-        return TaskLink(kernel, task)
 
 
 class SoarHierarchicalAgent(SoarPlayer):

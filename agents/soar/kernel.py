@@ -18,6 +18,7 @@ import abc
 import itertools
 import threading
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -198,14 +199,12 @@ class Kernel:
 
 
 _numbers = itertools.count(1)
-_all_kernels: _Kernels | None = None
 
 
+@cache
 def _kernels() -> _Kernels:
-    global _all_kernels
     require_soar()
-    _all_kernels = _all_kernels or _Kernels()
-    return _all_kernels
+    return _Kernels()
 
 
 def require_soar() -> None:

@@ -34,18 +34,6 @@ FINISH: Final = "finish"
 """Kind of the event recorded when all trials of a run are finished."""
 
 
-class OtherRun(DirectoryTaken):
-    """A directory has a run of a different plan, or of files that were changed since.
-
-    Attributes:
-        differences: one line for each.
-    """
-
-    def __init__(self, directory: Path, what: str, differences: Sequence[str]) -> None:
-        super().__init__(directory, f"{what} ({'; '.join(differences)})")
-        self.differences = differences
-
-
 class Remaining(NamedTuple):
     """A trial that is not finished.
 
@@ -98,7 +86,7 @@ def open_run(
 
     Raises:
         ExperimentError: the directory holds something else, is in use, or cannot be written to.
-        OtherRun: its run has another plan, or a file was changed since it began.
+        DirectoryTaken: its run has another plan, or a file was changed since it began.
     """
     run = _defined_by(run, say) if isinstance(run, Plan) else run
     with reported(f"cannot open {directory}"):
@@ -116,7 +104,8 @@ def open_run(
             )
         if changed := changed_files(_recorded_files(directory), sources):
             found = [f"{file} has changed since" for file in changed]
-            raise OtherRun(directory, f"was begun with files of which {layout.SOURCES} has copies", found)
+            begun = f"was begun with files of which {layout.SOURCES} has copies"
+            raise DirectoryTaken(directory, f"{begun} ({'; '.join(found)})")
         run.check(store)
         store.record_event("resume", program())
         for record in store.trials():
@@ -164,7 +153,7 @@ def _defined_by(plan: Plan, say: Callable[[str], None]) -> Definition:
         longer = replace(recorded, **counts)
         # Runs of earlier versions have paths relative to the directory in which they began.
         if found := differences(*(absolute(one, Path.cwd()) for one in (longer, plan))):
-            raise OtherRun(store.directory, "is the run of another plan", found)
+            raise DirectoryTaken(store.directory, f"is the run of another plan ({'; '.join(found)})")
         if longer != recorded:
             say(f"{store.directory} is extended: {'; '.join(differences(recorded, longer))}")
             # Before the trials, so that a process killed in between leaves a plan that extends them.

@@ -108,15 +108,10 @@ _NO_LOCKS: Final = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP,
 
 
 class DirectoryTaken(ExperimentError):
-    """A directory is in use, or holds something other than the wanted run.
-
-    Attributes:
-        directory: the directory.
-    """
+    """A directory is in use, or holds something other than the wanted run."""
 
     def __init__(self, directory: Path, why: str) -> None:
         super().__init__(f"{directory} {why}")
-        self.directory = directory
 
 
 class NoLocks(ExperimentError):
@@ -250,16 +245,9 @@ _FILES: Final = (
 UNFINISHED: Final = ".unfinished"  # the subfolder in which a new run is written
 
 
-class NewRun(NamedTuple):
-    """A run directory under construction: the folder for its files, and its lock."""
-
-    folder: Path
-    lock: RunLock
-
-
 @contextlib.contextmanager
-def new_run(directory: Path) -> Iterator[NewRun]:
-    """Create a run directory from the files that are put in `NewRun.folder`; the lock stays held.
+def new_run(directory: Path) -> Iterator[tuple[Path, RunLock]]:
+    """Create a run directory from the files that are put in the folder that is yielded; its lock stays held.
 
     On an exception everything that was created is removed, and the lock is released.
 
@@ -282,7 +270,7 @@ def new_run(directory: Path) -> Iterator[NewRun]:
         folder = directory / UNFINISHED
         shutil.rmtree(folder, ignore_errors=True)  # left by a process that was killed
         folder.mkdir()
-        yield NewRun(folder, lock)
+        yield folder, lock
         _publish(folder, directory)
     except BaseException:
         if lock is not None:

@@ -110,15 +110,15 @@ class Store(Results):
                 as it was.
         """
         with reported(f"cannot make {directory}"):
-            with new_run(directory) as made:
+            with new_run(directory) as (folder, lock):
                 for name, content in files.items():
-                    write_flushed(made.folder / name, content)
-                with contextlib.closing(open_to_write(made.folder)) as database:
+                    write_flushed(folder / name, content)
+                with contextlib.closing(open_to_write(folder)) as database:
                     with transaction(database.connection):
                         database.connection.executemany(_PUT_TRIAL, map(_trial_row, trials))
                     if fill is not None:
-                        fill(cls(made.folder, database, made.lock, clock))
-            return cls._open(directory, made.lock, clock)
+                        fill(cls(folder, database, lock, clock))
+            return cls._open(directory, lock, clock)
 
     @classmethod
     def open(cls, directory: Path, *, clock: Callable[[], float] = time.time) -> Self:
