@@ -11,7 +11,6 @@ and the same files, except that the plan may have more episodes or more trials.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -74,7 +73,6 @@ def open_run(
     run: Plan | Definition,
     *,
     say: Callable[[str], None] = lambda line: None,
-    clock: Callable[[], float] = time.time,
 ) -> Store:
     """Return the store of a run: a new one, or the one in the directory, prepared to continue.
 
@@ -82,7 +80,6 @@ def open_run(
         directory: contains the run, or will contain it.
         run: its plan, or what else defines it. The classes of its players must have been found.
         say: shows a line about each interrupted trial, and about an extension of the run.
-        clock: returns seconds since 1970.
 
     Raises:
         ExperimentError: the directory holds something else, is in use, or cannot be written to.
@@ -94,8 +91,8 @@ def open_run(
     with reported("cannot read a file of the user"):
         sources = user_files(run.players)
     if not exists:
-        return _create(directory, run, sources, clock)
-    store = Store.open(directory, clock=clock)
+        return _create(directory, run, sources)
+    store = Store.open(directory)
     try:
         if layout.parts_of(directory):
             raise ExperimentError(
@@ -121,9 +118,7 @@ def open_run(
     return store
 
 
-def _create(
-    directory: Path, run: Definition, sources: Mapping[str, UserFile], clock: Callable[[], float]
-) -> Store:
+def _create(directory: Path, run: Definition, sources: Mapping[str, UserFile]) -> Store:
     found = about()
     contents: dict[str, str | bytes] = {**run.files}
     for path, (sha256, content) in sources.items():
@@ -133,7 +128,7 @@ def _create(
             found["files"][path]["copy"] = name
             contents[name] = content
     contents[layout.ABOUT_FILE] = json.dumps(found, indent=2) + "\n"
-    store = Store.create(directory, run.specs, contents, clock=clock)
+    store = Store.create(directory, run.specs, contents)
     store.record_event("start", found["program"])
     return store
 

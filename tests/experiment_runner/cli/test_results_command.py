@@ -45,7 +45,8 @@ def result(trial: int, episode: int) -> EpisodeResult:
 
 def make(directory: Path, lengths: list[int], plan: Plan = PLAN) -> Path:
     """Make a run with these numbers of episodes in its trials."""
-    with open_run(directory, plan, clock=lambda: 1_000_000_000.0) as store:
+    with pytest.MonkeyPatch.context() as patch, open_run(directory, plan) as store:
+        patch.setattr("experiment_runner.store.store.time", lambda: 1_000_000_000.0)
         checkpoints = {2: Checkpoint(b"2")}
         if records := [
             (spec.id, result(trial, episode), checkpoints.get(episode), (), ())

@@ -38,7 +38,8 @@ MUTATIONS = size(40, 1000)
 @pytest.fixture(scope="module")
 def _sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("sound") / "run"
-    with open_run(made, PLAN, clock=lambda: 1e9) as store:
+    with pytest.MonkeyPatch.context() as patch, open_run(made, PLAN) as store:
+        patch.setattr("experiment_runner.store.store.time", lambda: 1e9)
         for spec in PLAN.expand():
             for episode in range(1, 21):
                 store.record(spec.id, EpisodeResult(episode, 1.5, 9, True, 0.1), Checkpoint(b"saved"))
