@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -177,8 +178,32 @@ class CountsAHelloForAnAnswer(Spoiled):
 
 
 class DoesNotWait(Spoiled):
+    """Time passes with each answer of the agent, and by the clock only half a second after a step was due.
+
+    So a judge who was kept from answering in time, on a busy machine, is not late.
+    """
+
     def __init__(self, config: HubConfig, *more: Any) -> None:
         super().__init__(replace(config, pace=Pace(rate=50.0)), *more)
+        by_the_clock = self.at
+
+        def at(time: float, work: Callable[[float], None]) -> None:
+            self.due[time] = partial(work, time)
+            by_the_clock(time + 0.5, lambda now: self.carry_out(time))
+
+        self.due: dict[float, Callable[[], None]] = {}
+        self.at = at
+
+    def receive(self, channel: Channel, message: Message, now: float) -> bool:
+        kept = super().receive(channel, message, now)
+        if message.kind is Kind.AGENT_STEP:
+            self.carry_out(*self.due)
+        return kept
+
+    def carry_out(self, *times: float) -> None:
+        """Carry out the steps that were due at these times, if that was not done."""
+        for due in [self.due.pop(time) for time in times if time in self.due]:
+            due()
 
 
 class ForgetsTheRewardsOfLateAgents(DoesNotWait):
