@@ -155,14 +155,17 @@ def _line(one: Act) -> dict[str, object]:
 
 
 def content(directory: Path) -> bytes:
-    """Return the complete lines of a run's journal.
+    """Return the complete lines of a run's journal; empty if there is none.
 
     Raises:
         StorageError: it cannot be read.
     """
     path = directory / JOURNAL_FILE
     with reported(f"cannot read {path}"):
-        text = read_regular(path, _MOST_BYTES)
+        try:
+            text = read_regular(path, _MOST_BYTES)
+        except FileNotFoundError:
+            return b""
     return text[: text.rfind(b"\n") + 1]
 
 
