@@ -31,7 +31,11 @@ LINE = (
     b'{"time": "2026-11-27T06:00:00Z", "act": "enter", "subject": "ann", "reason": "in the file", '
     b'"player": "true", "id": "", "trial": ""}\n'
 )
-FILES = {"competition.toml": FILE, "run.json": '{"program": "glue"}\n', "journal.jsonl": LINE}
+FILES: dict[str, str | bytes] = {
+    "competition.toml": FILE,
+    "run.json": '{"program": "glue"}\n',
+    "journal.jsonl": LINE,
+}
 TRIAL = "ann/walk/0"
 
 
