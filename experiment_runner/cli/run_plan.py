@@ -19,10 +19,11 @@ import click
 
 from experiment_runner.cli.options import naming_out
 from experiment_runner.executors.job import HubOptions, RunConfig
-from experiment_runner.executors.opening import FINISH, kept_if_begun, open_run, remaining
+from experiment_runner.executors.opening import FINISH, kept_if_begun, open_run, recorded_plan, remaining
 from experiment_runner.executors.recording import recorded
 from experiment_runner.executors.run import run_trials
 from experiment_runner.plan.limits import PLAYERS
+from experiment_runner.plan.metrics import extra_of
 from experiment_runner.plan.plan import Plan, class_files
 from experiment_runner.report.overview import date
 from experiment_runner.report.progress import JsonLines, Progress
@@ -31,7 +32,7 @@ from experiment_runner.slurm import array
 from experiment_runner.slurm.array import divide, gather
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.layout import PARTS, clear, replace_flushed
-from experiment_runner.store.records import TUNED, UNSEEDED
+from experiment_runner.store.records import TUNED, UNMETERED, UNSEEDED
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from experiment_runner.view.launch import viewed
@@ -120,7 +121,7 @@ def carry_out(
             progress.say(f"{directory} was already finished{_since(store)}: nothing was run")
         failed = run_trials(store, config, progress, recording, again=resume_command(store, config))
         if left and not remaining(store):
-            store.record_event(FINISH, "all trials are finished")
+            _finish(store, plan, progress.say)
         addresses.close()  # a player that joins from now on would not be served
         seconds = time.monotonic() - began
         if isinstance(progress, JsonLines):
@@ -158,13 +159,33 @@ def note_players_without_seed(store: Store, plan: Plan, say: Callable[[str], Non
     Raises:
         ConfigError: a class does not exist, or cannot be imported.
     """
-    known = {event.text for event in store.events() if event.kind == UNSEEDED}
     for role, sweeps in ((Role.ENVIRONMENT, plan.environments), (Role.AGENT, plan.agents)):
         for sweep in sweeps:
             if (line := without_seed(role, sweep.label, find(role, sweep.name))) is not None:
-                say(line)
-                if line not in known:
-                    store.record_event(UNSEEDED, line)
+                _note(store, UNSEEDED, line, say)
+
+
+def _finish(store: Store, plan: Plan, say: Callable[[str], None]) -> None:
+    """Record that all trials are finished, and say of which extras none has had a value.
+
+    A trial itself says nothing of a name with a dot, which may be of an environment with another label.
+    """
+    store.record_event(FINISH, "all trials are finished")
+    labels = sorted({trial.spec.environment_label for trial in store.trials()})
+    found = {*store.metric_names()}
+    for key in plan.extras:
+        names = {label: extra_of(key, label) for label in labels}
+        unsaid = all("." in name for name in names.values())
+        if unsaid and found.isdisjoint(f"{label}.{name}" for label, name in names.items()):
+            why = f"no such extra came from {', '.join(labels)}"
+            _note(store, UNMETERED, f"metric {key} never had a value: {why}", say)
+
+
+def _note(store: Store, kind: str, line: str, say: Callable[[str], None]) -> None:
+    """Show a line, and record it once in the run."""
+    say(line)
+    if all((event.kind, event.text) != (kind, line) for event in store.events()):
+        store.record_event(kind, line)
 
 
 def _since(store: Store) -> str:
@@ -336,5 +357,5 @@ def _gather(directory: Path) -> tuple[int, int]:
     with Store.open(directory) as store:
         gathered, left = gather(store), len(remaining(store))
         if gathered and not left:
-            store.record_event(FINISH, "all trials are finished")
+            _finish(store, recorded_plan(directory), say)
         return left, len(store.trials())

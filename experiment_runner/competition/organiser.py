@@ -25,6 +25,7 @@ from typing import Any, Final
 from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Piece
+from experiment_runner.competition.records.copies import copies
 from experiment_runner.competition.records.journal import ENTER, EVERYBODY, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
 from experiment_runner.competition.records.seal import (
@@ -77,7 +78,8 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
     if exists:
         course = course_of(directory)
     else:
-        levels(competition, secret)  # a mistake in a task is found before an engine is asked for anything
+        # A mistake in a task is found before an engine is asked for anything.
+        read = copies([level.environment for level in levels(competition, secret)], directory)
         hidden = None if competition.season is None else secret
         acts = admissions(competition, competition.entrants, ENTER, "in the file at the start", secret=hidden)
         course = Course(competition, acts)
@@ -90,7 +92,7 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
         else:
             about_it = json.dumps(about(), indent=2) + "\n"
             files = {COMPETITION_FILE: text, ABOUT_FILE: about_it, JOURNAL_FILE: text_of(course.acts)}
-            store = stack.enter_context(Store.create(directory, specs, files))
+            store = stack.enter_context(Store.create(directory, specs, {**files, **read}))
         with reported(f"cannot write to {directory}"):
             directory.chmod(_FOR_ITS_OWNER)
         seal(store)
@@ -350,20 +352,18 @@ class Held(Matches):
         for who, why in self._paused.items():
             self._say(f"{who} is paused: {why}; glue-compete resume {self._store.directory} ends that")
 
-    def record(self, acts: Sequence[Act], given: Competition | None = None) -> None:
+    def record(self, acts: Sequence[Act], added: Iterable[Entrant] = ()) -> None:
         """Write acts to the journal, and carry them out.
 
         Args:
             acts: of the organiser.
-            given: has the entrants that are added; None if there are none.
+            added: the entrants that they add.
 
         Raises:
             ExperimentError: its levels were changed, or the run cannot be written to.
         """
-        course, competition = Course(self.course.competition, [*self.course.acts, *acts]), self._competition
-        if given is not None:
-            added = [one for one in given.entrants if one.name not in self.course.entrants]
-            competition = replace(competition, entrants=(*competition.entrants, *added))
+        course = Course(self.course.competition, [*self.course.acts, *acts])
+        competition = replace(self._competition, entrants=(*self._competition.entrants, *added))
         new = _missing(self._store, course, course.specs(course.admitted(competition), self._secret))
         record_acts(self._store, acts)
         if new:

@@ -124,7 +124,7 @@ def _create(directory: Path, run: Definition, sources: Mapping[str, UserFile]) -
     for path, (sha256, content) in sources.items():
         found["files"][path] = {"sha256": sha256}
         if content is not None:
-            name = f"{layout.SOURCES}/{sha256[:12]}-{Path(path).name}"
+            name = layout.copy_of(Path(path), sha256)
             found["files"][path]["copy"] = name
             contents[name] = content
     contents[layout.ABOUT_FILE] = json.dumps(found, indent=2) + "\n"

@@ -27,7 +27,14 @@ from experiment_runner.executors.job import (
 from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.recording import Extras, Meter, Recorder
 from experiment_runner.store.database import StorageError
-from experiment_runner.store.records import Checkpoint, EndedEpisode, EpisodeResult, ask, measured
+from experiment_runner.store.records import (
+    UNMETERED,
+    Checkpoint,
+    EndedEpisode,
+    EpisodeResult,
+    ask,
+    measured,
+)
 from glue.console import show_failure
 from glue.engine.experiment import Experiment
 from glue.errors import (
@@ -219,7 +226,7 @@ class Trial:
                 self._report("replaced", "the lost player's learning is lost, too")
                 continue
             for why in self._meter.missing():
-                self._warn("unmetered", why)
+                self._warn(UNMETERED, why)
             # Read only once, so that the trial never stops without taking a checkpoint.
             stopping = self._interrupts.requested
             kept = self._keep(played, stopping)

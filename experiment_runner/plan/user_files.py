@@ -44,7 +44,7 @@ def user_files(players: Sequence[RoleSpec | RoleSweep]) -> dict[str, UserFile]:
         OSError: a file cannot be read.
     """
     paths = {Path(file).resolve() for file in class_files(players)}
-    return {str(path): _read(path) for path in sorted({*paths, *_modules(), *_named_by_options(players)})}
+    return {str(path): file_at(path) for path in sorted({*paths, *_modules(), *_named_by_options(players)})}
 
 
 def changed_files(recorded: Mapping[str, str], present: Mapping[str, UserFile]) -> list[str]:
@@ -63,11 +63,25 @@ def with_digests(options: Mapping[str, _Values], known: Container[str]) -> dict[
         OSError: a file cannot be read.
     """
     digests: dict[str, _Values] = {
-        f"{name}_digest": _read(Path(value)).sha256
+        f"{name}_digest": file_at(Path(value)).sha256
         for name, value in options.items()
         if f"{name}_digest" in known and isinstance(value, str) and _is_file(value)
     }
     return {**options, **{name: digest for name, digest in digests.items() if name not in options}}
+
+
+def file_at(path: Path) -> UserFile:
+    """Return the digest and the contents of a file.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        if file.tell() > _MAX_COPY:
+            return UserFile(digest, None)
+        file.seek(0)
+        return UserFile(digest, file.read())
 
 
 def _modules() -> Iterator[Path]:
@@ -109,12 +123,3 @@ def _is_file(name: str) -> bool:
         return Path(name).is_file()
     except (OSError, ValueError):  # too long for a name, or with a null character
         return False
-
-
-def _read(path: Path) -> UserFile:
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        if file.tell() > _MAX_COPY:
-            return UserFile(digest, None)
-        file.seek(0)
-        return UserFile(digest, file.read())

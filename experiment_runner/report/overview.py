@@ -17,7 +17,7 @@ from experiment_runner.analysis import stats
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.report.tables import counted, format_table, wrap
 from experiment_runner.store.layout import lock_holder
-from experiment_runner.store.records import OF_PLAYERS, TUNED, UNSEEDED, TrialRecord
+from experiment_runner.store.records import OF_PLAYERS, TUNED, UNMETERED, UNSEEDED, TrialRecord
 from experiment_runner.store.results import Results
 from experiment_runner.store.run_data import finite
 from glue.console import one_line
@@ -189,7 +189,7 @@ def _notes(results: Results) -> list[str]:
             alike[event.kind, event.text][names[event.trial_id]] = None
         elif event.trial_id is not None:
             notes.append(f"{event.kind}: {names[event.trial_id]}: {event.text}")
-        elif event.kind in (UNSEEDED, TUNED):
+        elif event.kind in (UNSEEDED, UNMETERED, TUNED):
             notes.append(event.text)
     for (kind, text), (first, *others) in alike.items():
         more = f" and {counted(len(others), 'other trial')}" if others else ""

@@ -284,6 +284,11 @@ def new_run(directory: Path) -> Iterator[tuple[Path, RunLock]]:
         raise
 
 
+def copy_of(path: Path, sha256: str) -> str:
+    """Return the place in a run of the copy of a file of the user's with this SHA-256, in hexadecimal."""
+    return f"{SOURCES}/{sha256[:12]}-{path.name}"
+
+
 def check_links(directory: Path) -> None:
     """Check that no folder below a run directory leads elsewhere, before files are written there.
 

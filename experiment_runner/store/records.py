@@ -13,7 +13,10 @@ from experiment_runner.plan.plan import TrialSpec
 from glue.engine.experiment import Experiment
 from glue.options import Value
 
-OF_PLAYERS: Final = ("unsaved", "unmetered")
+UNMETERED: Final = "unmetered"
+"""Kind of the event of a metric that is not recorded."""
+
+OF_PLAYERS: Final = ("unsaved", UNMETERED)
 """Kinds of events that say the same of every trial of a player: each text is shown once."""
 
 UNSEEDED: Final = "unseeded"

@@ -8,6 +8,7 @@ from typing import Any, Final
 from glue.client.bodies import READ, write
 from glue.engine.calls import Handler, name_of, role_calls
 from glue.errors import ConfigError, RemoteProtocolError
+from glue.hub.sessions import ONE_RUN
 from glue.roles import AgentLike, EnvironmentLike, capabilities
 from glue.types import Observation
 from glue.wire.beside import carried, readable
@@ -35,6 +36,8 @@ class ServedPlayer:
         self.capabilities: tuple[str, ...] = capabilities(player)
         if getattr(player, "env_waits", False):
             self.capabilities += (PACE,)  # the hub says whether it has one
+        if getattr(player, "for_one_run", False):
+            self.capabilities += (ONE_RUN,)
         self._handlers: Final[dict[Kind, tuple[Handler, Callable[[bytes], Any]]]] = {
             kind: (handler, READ[CALLS[kind].request.body])
             for kind, handler in role_calls(role, player).items()

@@ -176,7 +176,9 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
 
 
 class _StandIn(Agent):
-    """The agent of a session whose experiment acts itself."""
+    """The agent of a session whose experiment acts itself. It is dismissed when the experiment leaves."""
+
+    for_one_run = True
 
     def agent_start(self, observation: Observation) -> Action:
         raise SimulatorError("this agent stands in for an experiment that acts itself")

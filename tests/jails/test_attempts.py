@@ -16,8 +16,8 @@ import pytest
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.jail import LABEL
 from experiment_runner.competition.season.control import NoServer, ask
-from experiment_runner.competition.season.state import Enrolled, SeasonState
 from experiment_runner.competition.starters import name_of_run
+from experiment_runner.competition.state import Enrolled
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from tests import forked
@@ -67,7 +67,7 @@ class Served:
 
     @property
     def entrant(self) -> Enrolled:
-        return SeasonState.of(course_of(self.run)).entrants["alice"]
+        return course_of(self.run).state.entrants["alice"]
 
     def over(self) -> int:
         with suppress(ExperimentError):

@@ -22,8 +22,9 @@ __all__ = ["launch"]
 
 def uploaded(path: Path, most: int = 2**30) -> dict[str, str]:
     """Return what becomes of an upload to a season in the same folder."""
-    command = [sys.executable, "-P", "-m", MODULE, str(path), str(most), str(path.parent)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
+    command = [sys.executable, "-P", "-m", MODULE, str(most), str(path.parent)]
+    with path.open("rb") as file:
+        done = subprocess.run(command, stdin=file, capture_output=True, text=True, timeout=600, check=True)
     found: dict[str, str] = json.loads(done.stdout)
     return found
 

@@ -17,7 +17,6 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.match import Match
 from experiment_runner.competition.season.control import Attempt, Enrol, ask
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.season.worker import MODULE, REPORTS
 from experiment_runner.competition.settings import Entrant
 from experiment_runner.competition.trials import trials
@@ -78,7 +77,7 @@ def test_a_full_disk_stops_the_server_and_nothing_that_is_over_is_lost(tmp_path:
     server = subprocess.Popen(["sh", "-c", serve], cwd=tmp_path, env=environment)
 
     def done() -> bool:
-        attempts = SeasonState.of(course_of(tmp_path / "run")).attempts("over")
+        attempts = course_of(tmp_path / "run").state.attempts("over")
         return {one.entrant for one in attempts} == {"walk0", "walk1", "walk2"}
 
     try:

@@ -29,7 +29,7 @@ pytest.importorskip("uvicorn", reason="needs uvicorn: pip install 'glue-rl[web]'
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
 from experiment_runner.competition.season.control import NoServer, ask
-from experiment_runner.competition.season.state import SeasonState
+from experiment_runner.competition.state import State
 from experiment_runner.store.results import Results
 from glue.client.libzmq import new_pair
 from glue.client.players import serve_agent
@@ -165,8 +165,8 @@ class Held:
         membership.write(file)
         return file
 
-    def state(self) -> SeasonState:
-        return SeasonState.of(course_of(self.directory))
+    def state(self) -> State:
+        return course_of(self.directory).state
 
     def board(self) -> SeasonBoard:
         now = datetime.fromtimestamp(self.began, UTC)

@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from experiment_runner.competition.records.copies import with_copies, without_places
 from experiment_runner.competition.records.record import digest, record_path
-from experiment_runner.competition.records.replay import Replay, passive_score, recorded_run, replay_of
+from experiment_runner.competition.records.replay import Replay, passive_score, replay_of
 from experiment_runner.competition.records.seal import record_verdict, reseal_verdicts, seal
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
@@ -82,6 +83,7 @@ def judge(
         passive: scores of a passive agent, by task and seed, which are computed once.
     """
     path = record_path(results.directory, spec.id)
+    spec = with_copies(spec, results.directory)
     passive = {} if passive is None else passive
     sha256, problem, score = b"", None, math.nan
     try:
@@ -136,12 +138,12 @@ def replay_trial(spec: TrialSpec, path: Path) -> tuple[list[Replayed], float]:
         TrajectoryError: the record is damaged.
     """
     replay, task_spec = replay_of(spec)
-    runs = (recorded_run(spec, task_spec), run_of(spec, task_spec))  # older records tell the path of a level
+    run = without_places(run_of(spec, task_spec))
     episodes: list[Replayed] = []
     score = 0.0
     reader = TrajectoryReader(path)
     for number, episode in enumerate(reader, 1):
-        if episode.run not in runs or not isinstance(episode.steps, ActionSteps):
+        if without_places(episode.run) != run or not isinstance(episode.steps, ActionSteps):
             raise Mismatch(f"{path} is not a record of {spec.id}: it is of {_shown(episode.run)}")
         replay.start()
         count, total = 0, 0.0

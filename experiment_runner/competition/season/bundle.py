@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from experiment_runner.competition.course import course_of
+from experiment_runner.competition.records.copies import copies
 from experiment_runner.competition.records.record import record_path
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.competition.season.forms import boards_as_json
@@ -31,7 +32,7 @@ _MOST_BYTES: Final = 2**32
 
 
 def bundle(directory: Path, out: Path) -> None:
-    """Write a bundle of a run: its file, journal, seal, database and records, and its boards.
+    """Write a bundle of a run: its file, journal, seal, database, records, copies and boards.
 
     Raises:
         ExperimentError: the season is not closed, the run was changed since it was sealed, or a file cannot
@@ -52,6 +53,9 @@ def bundle(directory: Path, out: Path) -> None:
                 path = record_path(folder, trial)
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_flushed(path, read_regular(record_path(directory, trial), _MOST_BYTES))
+            environments = (record.spec.environment for record in store.trials())
+            for name, content in copies(environments, directory).items():
+                write_flushed(folder / name, content)
             store.copy_to(folder)
         lock.release()
 

@@ -15,9 +15,8 @@ from experiment_runner.cli.compete_serve import organise
 from experiment_runner.competition.board.standings import standings
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.organiser import Held, open_competition
-from experiment_runner.competition.season.acts import addition
+from experiment_runner.competition.season.acts import addition, answering
 from experiment_runner.competition.season.control import Door, ask
-from experiment_runner.competition.season.service import answering
 from experiment_runner.competition.settings import parse_competition
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from env_server.mario.pictures import digest_of
+from experiment_runner.competition.environment import RecordedEnvironment
 from experiment_runner.competition.organiser import open_competition
+from experiment_runner.competition.records.record import RecordFile, record_path
 from experiment_runner.competition.records.replay import made_for, recorded_run
-from experiment_runner.competition.records.verify import replay_trial
+from experiment_runner.competition.records.seal import record_outcome
+from experiment_runner.competition.records.verify import replay_trial, verify
+from experiment_runner.competition.season.bundle import bundle
 from experiment_runner.competition.settings import parse_competition
 from experiment_runner.competition.trials import public_trial, trials
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.store.layout import SOURCES, copy_of
+from experiment_runner.store.records import TrialEnd
+from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError
 from glue.trajectory import ActionWriter, Ending, Run
 from glue.types import Action, step_of
@@ -88,6 +96,49 @@ def test_a_record_names_its_level_not_where_it_is(folder: Path, run: Callable[..
     assert begun.options["level"] == ("one.txt" if run is recorded_run else str(folder / "one.txt"))
     ((ending, steps, *_),), *_ = replay_trial(spec, path)
     assert (ending, steps) == (Ending.CUTOFF, 5)
+
+
+def play(store: Store, spec: TrialSpec) -> None:
+    with RecordFile(record_path(store.directory, spec.id)) as file:
+        writer = ActionWriter(file.append)
+        environment = RecordedEnvironment(
+            made_for(spec), writer, spec, lambda result: store.record(spec.id, result)
+        )
+        environment.env_init()
+        environment.env_start()
+        environment.env_step(STAY)
+        environment.end(Ending.CUTOFF)
+        writer.close()
+        record_outcome(store, spec.id, TrialEnd(None, file.finish()))
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_a_bundle_is_verified_where_the_files_of_its_levels_are_not(folder: Path, older: bool) -> None:
+    held = parse_competition(FILE, folder / "spring.toml")
+    with open_competition(folder / "run", FILE, held, SECRET) as store:
+        for record in store.trials():
+            play(store, record.spec)
+    if older:  # as before there were copies
+        shutil.rmtree(folder / "run" / SOURCES)
+    bundle(folder / "run", folder / "bundle")
+    shutil.rmtree(folder / "run")
+    levels = [folder / name for name in ("one.txt", "two.txt")]
+    copies = {copy_of(level, digest_of(level)): level.read_bytes() for level in levels}
+    for level in levels:
+        level.unlink()
+    found = (folder / "bundle" / SOURCES).iterdir()
+    assert {f"{SOURCES}/{path.name}": path.read_bytes() for path in found} == copies
+    with Store.open(folder / "bundle") as store:
+        assert verify(store, {"own": 0}, print) == 0
+
+
+def test_a_bundle_has_no_other_level_than_was_played(folder: Path) -> None:
+    open_competition(folder / "run", FILE, parse_competition(FILE, folder / "spring.toml"), SECRET).close()
+    shutil.rmtree(folder / "run" / SOURCES)
+    (folder / "two.txt").write_text("X" * 22)
+    with pytest.raises(ExperimentError, match=r"two\.txt has changed since the run began"):
+        bundle(folder / "run", folder / "bundle")
+    assert not (folder / "bundle").exists()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -135,9 +136,7 @@ def connected(name: str) -> Iterator[Any]:
     ("way", "name"),
     [(connected, "tests/Nested-v0"), *((wrapped, f"{name}-v1") for name in ("CartPole", "Blackjack"))],
 )
-def test_there_and_back_is_where_it_began(
-    name: str, way: Callable[[str], AbstractContextManager[Any]]
-) -> None:
+def test_there_and_back_again(name: str, way: Callable[[str], AbstractContextManager[Any]]) -> None:
     direct = gymnasium.make(name)
     with way(name) as env:
         assert (env.observation_space, env.action_space) == (direct.observation_space, direct.action_space)
@@ -157,6 +156,21 @@ def test_there_and_back_is_where_it_began(
             over = outcome[1] or outcome[2]
         with pytest.raises(SimulatorError, match="call reset"):
             env.step(action)
+
+
+def test_a_session_that_was_left_takes_the_next_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+    failed: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", failed.append)
+    earlier: set[threading.Thread] = set()
+    with hub_with(make("gymnasium:CartPole-v1")) as hub:
+        for _ in range(2):
+            env = glue.gym.connect(hub)
+            new = {one for one in threading.enumerate() if one.name == "stand-in agent"} - earlier
+            earlier |= new
+            env.close()
+        for stand_in in new:
+            stand_in.join()
+    assert failed == []
 
 
 def test_check_env_passes_for_an_environment_behind_a_hub() -> None:
@@ -223,6 +237,8 @@ def test_options_are_keywords_of_the_environment() -> None:
         ("gymnasium:nowhere:X-v1", {}, "no environment"),
         ("gymnasium:CartPole-v1", {"lenght": 3}, "no option lenght"),
         ("gymnasium:CartPole-v1", {"max_episode_steps": 0}, "at least 1"),
+        ("gymnasium:FrozenLake-v1", {"map_name": "9x9"}, "9x9"),
+        ("CartPole-v1", {}, r"did you mean gymnasium:CartPole-v1\?"),
     ):
         with pytest.raises(ConfigError, match=message):
             make(name, **options)
@@ -285,13 +301,6 @@ def test_environments_of_the_old_global_generator_repeat_themselves(made: type, 
 
     with globals_restored():
         assert rewards(2**62 + 1) == rewards(2**62 + 1) != rewards(2)
-
-
-def test_what_gymnasium_cannot_make_is_a_config_error() -> None:
-    with pytest.raises(ConfigError, match="9x9"):
-        make("gymnasium:FrozenLake-v1", map_name="9x9")
-    with pytest.raises(ConfigError, match=r"did you mean gymnasium:CartPole-v1\?"):
-        make("CartPole-v1")
 
 
 def test_a_module_of_the_working_directory_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

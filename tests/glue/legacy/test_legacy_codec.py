@@ -22,7 +22,6 @@ from glue.legacy.codec import (
     TO_AGENT,
     TO_ENVIRONMENT,
     TO_EXPERIMENT,
-    Control,
     Decoder,
     Frame,
     Vocabulary,
@@ -116,14 +115,6 @@ def test_a_million_of_each_is_accepted() -> None:
     assert decode(encode(message, FROM_ENVIRONMENT), FROM_ENVIRONMENT) == [message]
 
 
-def test_a_decoder_expects_an_agents_frames_after_the_handshake() -> None:
-    decoder = Decoder(HANDSHAKE)
-    decoder.receive_data(raw(Control.CONNECT_AGENT, b"ignored") + raw(7))
-    assert decoder.next_event() == Frame(Control.CONNECT_AGENT)
-    decoder.expect(FROM_AGENT)
-    assert decoder.next_event() == Frame(Kind.AGENT_END)
-
-
 # Texts
 
 
@@ -156,9 +147,7 @@ def test_texts_that_java_counted_in_utf16_units_arrive_whole(texts: list[str]) -
 
 @some
 @given(st.text(st.characters(blacklist_characters="\0", codec="utf-8")), st.data())
-def test_the_end_of_a_java_text_that_comes_late_is_dropped_and_the_next_message_read(
-    text: str, data: st.DataObject
-) -> None:
+def test_the_end_of_a_java_text_that_comes_late_is_dropped(text: str, data: st.DataObject) -> None:
     assume(not text.isascii())
     stream = java_frame(10, text)
     cut = data.draw(st.integers(8 + 4 + len(text.encode("utf-16-be")) // 2, len(stream)))

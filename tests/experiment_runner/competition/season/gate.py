@@ -20,7 +20,7 @@ from starlette.applications import Starlette
 from experiment_runner.competition.season.control import Door, Key, Reply, Request
 from experiment_runner.competition.season.entrance import routes
 from glue.client.libzmq import new_pair
-from glue.client.season import PREFIX, Membership
+from glue.client.season import PREFIX, Membership, Page
 from glue.errors import ExperimentError
 from glue.keys.certificates import KeyPair, encode, write_pair
 from glue.keys.requests import signed
@@ -86,9 +86,10 @@ class Entrance:
         method: str = "POST",
         now: float | None = None,
     ) -> dict[str, str]:
-        """Return the headers of a request of alice."""
+        """Return the headers of a request of alice to the page as it was started last."""
         digest = hashlib.sha256(content).hexdigest()
-        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, now or time.time())
+        start = str(Page(self.url).ask("GET", "start")["start"])
+        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, start, now or time.time())
 
     def ask(
         self, content: bytes = b"{}", headers: Mapping[str, str] | None = None, what: str = "attempt"
@@ -111,12 +112,17 @@ class Entrance:
 
 @contextmanager
 def entrance_at(
-    folder: Path, text: str = FILE, *, server: bool = True, now: Callable[[], float] = time.time
+    folder: Path,
+    text: str = FILE,
+    *,
+    server: bool = True,
+    now: Callable[[], float] = time.time,
+    before: Entrance | None = None,
 ) -> Iterator[Entrance]:
-    """Open an entrance, with a server behind it or without one."""
-    folder.mkdir()
+    """Open an entrance, with a server behind it or without one; or start one again."""
+    folder.mkdir(exist_ok=before is not None)
     (folder / "competition.toml").write_text(text)
-    entrance, over = Entrance(folder), threading.Event()
+    entrance, over = before or Entrance(folder), threading.Event()
 
     def serve() -> None:
         with Door(folder) as door:
@@ -126,7 +132,7 @@ def entrance_at(
     app = Starlette(routes=routes(folder, now))
     config = uvicorn.Config(app, log_config=None, log_level="critical", lifespan="off", ws="none")
     page = uvicorn.Server(config)
-    with socket.create_server(("127.0.0.1", 0)) as listening:
+    with socket.create_server(("127.0.0.1", entrance.port)) as listening:
         entrance.port = listening.getsockname()[1]
         threads = [threading.Thread(target=lambda: asyncio.run(page.serve([listening])))]
         threads += [threading.Thread(target=serve)] if server else []

@@ -12,8 +12,8 @@ from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records import journal, seal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act
 from experiment_runner.competition.season.board import PUBLIC, Boards, EntrantRow, SeasonBoard
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import parse_competition
+from experiment_runner.competition.state import State
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.store import Store
@@ -60,9 +60,9 @@ class Made:
         return Course(self.competition, self.acts)
 
     @property
-    def state(self) -> SeasonState:
+    def state(self) -> State:
         """The state of the season."""
-        return SeasonState.of(self.course)
+        return self.course.state
 
     def act(self, kind: str, subject: str = EVERYBODY, reason: str = "", **more: Any) -> None:
         """Add an act."""

@@ -11,7 +11,6 @@ import pytest
 
 from experiment_runner.competition.course import Course
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import changed, changes, parse_competition
 from experiment_runner.competition.trials import attempt_trials, levels, trials
 from glue.errors import ConfigError, ExperimentError
@@ -100,7 +99,7 @@ def test_changes_of_the_rules_are_acts_and_others_are_refused_by_name() -> None:
     acts = made.course.changes(now)
     assert [one.subject for one in acts] == ["freeze", "enrol"]
     course = Course(made.competition, [*made.acts, *acts])
-    assert course.season == SeasonState.of(course).season == now.season
+    assert course.state.season == now.season
     assert course.changes(now) == []
     assert made.competition.season is not None
     assert changed(made.competition.season, "freeze", "null") == made.competition.season

@@ -125,9 +125,7 @@ def test_as_many_play_as_there_are_slots_each_at_its_port(season: Season) -> Non
     season.turns()
     assert season.executor.gates == ["tcp://127.0.0.1:4097", "tcp://127.0.0.1:4098"]
     assert season.ask(Attempt("carol"))["state"] == "waiting"
-    status = season.ask(Status())
-    assert (status["busy"], status["slots"], status["waiting"]) == (2, 2, 1)
-    assert [one["slot"] for one in status["attempts"][:2]] == [0, 1]
+    assert season.ask(Status()) == {"slots": 2, "busy": 2, "accepting": True, "why": ""}
 
 
 def test_a_failure_of_ours_costs_no_attempt_and_is_tried_again(season: Season) -> None:
@@ -178,6 +176,17 @@ def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(sea
     del season.executor.agents["alice"]
     season.attempt("alice")
     assert season.state.entrants["alice"].failed == 0
+
+
+def test_nobody_is_paused_for_the_final_by_an_attempt_that_ends_after_the_season(season: Season) -> None:
+    season.enrol("alice")
+    season.executor.agents["alice"] = Raising()
+    season.attempt("alice")
+    season.ask(Attempt("alice"))
+    season.act("close")
+    season.turns()
+    assert season.states("alice") == {1: "over", 2: "over"}
+    assert season.course.paused == {}
 
 
 def test_an_exclusion_takes_effect_at_once_and_can_be_taken_back(season: Season) -> None:
@@ -482,6 +491,7 @@ def test_a_line_of_the_journal_that_a_kill_has_torn_is_written_again(season: Sea
     [
         ("rerun", "alice", {"number": 7}, "alice has no attempt 7 that is over"),
         ("rerun", "nobody", {}, "there is no entrant nobody"),
+        ("rerun", "alice/mines/0", {}, "there is no entrant alice/mines/0"),
         ("grant", "alice", {"number": 0}, "grant from 1 to 10,000 attempts"),
         ("grant", "nobody", {"number": 1}, "there is no entrant nobody"),
         ("exclude", "nobody", {}, "there is no entrant nobody"),

@@ -15,8 +15,8 @@ import pytest
 from experiment_runner.competition.board.standings import Forfeit
 from experiment_runner.competition.records.journal import ANNOUNCE, EXCLUDE, Act
 from experiment_runner.competition.season.board import ORGANISER, PUBLIC, AttemptRow, EntrantRow, SeasonBoard
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import Competition, Season, Task
+from experiment_runner.competition.state import State
 from experiment_runner.view.season.feed import feed_of
 from experiment_runner.view.season.shown import board_as_json, entrant_as_json, rules_of
 from experiment_runner.view.stream import as_json
@@ -68,7 +68,7 @@ BOARD = SeasonBoard(
 
 def shown(board: SeasonBoard, viewer: str = PUBLIC) -> dict[str, Any]:
     """Return the board as the page's script reads it."""
-    found: dict[str, Any] = json.loads(as_json(board_as_json(board, SeasonState(SEASON), [], viewer, NOW)))
+    found: dict[str, Any] = json.loads(as_json(board_as_json(board, State(SEASON), [], viewer, NOW)))
     return found
 
 
