@@ -48,7 +48,7 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
 @pytest.fixture
 def run(image: Callable[..., str], launch: Launch) -> Iterator[Run]:
     """Return a function that runs a Python program in a jail."""
-    containers = Containers(warn=lambda line: None)
+    containers = Containers()
     started: list[Container] = []
 
     def run(program: str, *lines: str) -> Container:

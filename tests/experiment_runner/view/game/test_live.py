@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.store.layout import HUBS_FILE, LiveSession, LiveSessions, live_sessions
+from experiment_runner.store.layout import HUBS_FILE, LiveSession, live_sessions, put_live_sessions
 from glue.types import Action, Observation, body_size
 from tests.experiment_runner.view.pages import Page, Stream, glue_view
 from tests.terminal import Terminal
@@ -117,18 +117,18 @@ def test_there_is_no_topic_of_what_is_no_run(page: Page) -> None:
 def test_trials_come_and_go(tmp_path: Path) -> None:
     file = tmp_path / HUBS_FILE
     file.write_text("left behind")
-    file_of_hubs = LiveSessions(tmp_path)
+    put_live_sessions(tmp_path, {})
     assert not file.exists()
     sessions = {
         "a/b/0": LiveSession("tcp://127.0.0.1:4097", "default"),
         "a/b/1": LiveSession("tcp://[::1]:4097", "b"),
     }
-    for trial, live in sessions.items():
-        file_of_hubs.begin(trial, live)
+    put_live_sessions(tmp_path, sessions)
     assert live_sessions(tmp_path) == sessions
-    file_of_hubs.end("a/b/0")
+    del sessions["a/b/0"]
+    put_live_sessions(tmp_path, sessions)
     assert live_sessions(tmp_path).keys() == {"a/b/1"}
-    file_of_hubs.close()
+    put_live_sessions(tmp_path, {})
     assert list(tmp_path.iterdir()) == []
 
 
