@@ -54,7 +54,7 @@ def replayed(name: str, spec: TrialSpec, path: Path, wanted: int) -> bytes:
         steps = Steps()
         size = 0
         for step in episode.steps:
-            found = step_of(environment, environment.env_step(step.action))
+            found = step_of(environment.env_step(step.action))
             if count == wanted:
                 observation = found.observation.body
                 size += len(observation)

@@ -93,16 +93,16 @@ def test_interquartile_mean_is_that_of_scipy(count: int, odd: float) -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-15)
 
 
-@pytest.mark.parametrize(("tail", "confidence"), [((), 0.95), ((), 0.5), ((200,), 0.95)])
-def test_interval_is_that_of_scipy(tail: tuple[int, ...], confidence: float) -> None:
+@pytest.mark.parametrize("tail", [(), (200,)])
+def test_interval_is_that_of_scipy(tail: tuple[int, ...]) -> None:
     strata = [rng(4).normal(100, 30, (5, *tail)), rng(5).normal(0, 9, (2, *tail))]
 
     def pooled(*samples: FloatArray, axis: int) -> Any:
         return interquartile_mean(np.concatenate(samples, axis=axis), axis=axis)
 
-    how: Any = {"vectorized": True, "confidence_level": confidence, "method": "percentile", "rng": rng(6)}
+    how: Any = {"vectorized": True, "method": "percentile", "rng": rng(6)}
     expected = scipy.stats.bootstrap(strata, pooled, n_resamples=2000, **how).confidence_interval
-    value, low, high = estimate(strata, interquartile_mean, rng(6), confidence=confidence)
+    value, low, high = estimate(strata, interquartile_mean, rng(6))
     np.testing.assert_array_equal(value, pooled(*strata, axis=0))
     # SciPy before 1.17 interpolates with other rounding errors.
     np.testing.assert_allclose((low, high), expected, rtol=1e-14)

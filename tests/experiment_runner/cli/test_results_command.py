@@ -46,14 +46,16 @@ def result(trial: int, episode: int) -> EpisodeResult:
 
 def make(directory: Path, lengths: list[int], plan: Plan = PLAN) -> Path:
     """Make a run with these numbers of episodes in its trials."""
-    with open_run(directory, plan, clock=lambda: 1_000_000_000.0) as store:
-        checkpoints = {2: Checkpoint(b"2")}
-        if records := [
-            (spec.id, result(trial, episode), checkpoints.get(episode), (), ())
-            for trial, (spec, length) in enumerate(zip(plan.expand(), lengths, strict=True))
-            for episode in range(1, length + 1)
-        ]:
-            store.record_all(records)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("experiment_runner.store.store.time", lambda: 1_000_000_000.0)
+        with open_run(directory, plan) as store:
+            checkpoints = {2: Checkpoint(b"2")}
+            if records := [
+                (spec.id, result(trial, episode), checkpoints.get(episode), (), ())
+                for trial, (spec, length) in enumerate(zip(plan.expand(), lengths, strict=True))
+                for episode in range(1, length + 1)
+            ]:
+                store.record_all(records)
     return directory
 
 

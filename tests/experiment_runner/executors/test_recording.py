@@ -16,7 +16,7 @@ from env_server.replay.episodes import build_environment, open_recording, record
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.executors.job import BEGINNING, Start
-from experiment_runner.executors.recording import Recorder, recorded
+from experiment_runner.executors.recording import Meter, Recorder, recorded
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
@@ -259,7 +259,7 @@ def test_recording_says_which_steps_were_late_and_replays(tmp_path: Path) -> Non
         spec = TrialSpec(
             TrialId("random/skeleton/0"), RoleSpec("random"), RoleSpec("skeleton"), 1, 10, seed=3
         )
-        recorder = Recorder(writer, spec, glue)
+        recorder = Recorder(writer, spec, glue, Meter(glue, None))
         recorder.begin(glue.rl_init(spec.seed), continued=False)
         recorder.rl_episode(max_steps=10)
 

@@ -44,8 +44,9 @@ def result(episode: int) -> EpisodeResult:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    with Store.create(tmp_path / "run", PLAN.expand(), FILES, clock=lambda: 5.0) as store:
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Store]:
+    monkeypatch.setattr("experiment_runner.store.store.time", lambda: 5.0)
+    with Store.create(tmp_path / "run", PLAN.expand(), FILES) as store:
         yield store
 
 

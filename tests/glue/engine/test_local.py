@@ -209,8 +209,9 @@ class CuttingEnvironment(ScriptedEnvironment):
         self.episodes += 1
         return super().env_start()
 
-    def env_truncated(self) -> bool:
-        return self.episodes % 2 == 0
+    def env_step(self, action: Action) -> Any:
+        reward, observation, terminal = super().env_step(action)
+        return Step(reward, observation, terminal, terminal and self.episodes % 2 == 0)
 
 
 @BOTH

@@ -142,7 +142,7 @@ def test_a_limit_is_a_time(seconds: float) -> None:
 @pytest.fixture
 def timed() -> tuple[Rig, Clock]:
     """In the middle of an episode: the agent is asked for a step."""
-    clock = Clock()
+    clock = Clock(1000.0)
     rig = Rig(HubConfig(heartbeat=1.0, timeout=5.0, time=LIMITS), clock)
     rig.fill()
     rig.ask(Kind.RL_INIT, 1, None)
@@ -191,7 +191,7 @@ def test_the_environment_has_all_the_time(timed: tuple[Rig, Clock]) -> None:
 
 
 def test_without_limits_nothing_is_measured() -> None:
-    clock = Clock()
+    clock = Clock(1000.0)
     rig = Rig(clock=clock)
     rig.fill()
     rig.ask(Kind.RL_INIT, 1, None)

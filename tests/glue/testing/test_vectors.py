@@ -19,7 +19,12 @@ from glue.extras import Extra, pack_extras, unpack_extras
 from glue.types import Observation, beside_sizes, body_size
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.messages import MAX_BODY, MAX_HEADER, Body, Message, Value
+from glue.wire.messages import (
+    MAX_FRAME,
+    Body,
+    Message,
+    Value,
+)
 from tests.glue.wire.examples import EXAMPLES
 
 FILE: Final = Path(glue.testing.__file__).with_name("vectors.json")
@@ -40,7 +45,7 @@ def frames_of(entry: dict[str, Any]) -> list[bytes]:
 
 def received(hexadecimal: str) -> zmtp.Decoder:
     """Return a hub's peer that has received bytes behind the handshake."""
-    decoder = zmtp.Decoder(zmtp.DEALER, 2 * MAX_BODY + MAX_HEADER)
+    decoder = zmtp.Decoder(zmtp.DEALER, MAX_FRAME)
     for part in ("greeting", "ready of the hub"):
         decoder.receive_data(bytes.fromhex(VECTORS["zmtp"][part]))
     while decoder.next_event() is not None:

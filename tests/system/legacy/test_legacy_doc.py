@@ -58,7 +58,7 @@ def test_the_refused_ids_are_none_of_ours() -> None:
         first, _, last = part.strip().partition("-")
         refused |= set(range(int(first), int(last or first) + 1))
     assert refused == codec._KINDS_OF_2
-    spoken = (codec.HANDSHAKE, codec.FROM_AGENT, codec.FROM_ENVIRONMENT, codec.FROM_EXPERIMENT)
+    spoken = (codec.HANDSHAKE, *codec.FROM.values())
     assert not refused & {int(kind) for vocabulary in spoken for kind in vocabulary}
 
 

@@ -115,7 +115,7 @@ class Raising(Walker):
     """Forfeits."""
 
     def agent_init(self, task_spec: str) -> None:
-        raise ValueError("no idea")
+        raise ValueError("<b>no idea</b>")
 
 
 @dataclass
@@ -191,9 +191,9 @@ class Season:
         found: list[str] = self.ask(Organise(kind, subject, **{"why": "because", **more}))["acts"]
         return found
 
-    def enrol(self, *names: str) -> None:
-        for name in names:
-            self.ask(Enrol(name, encode(new_pair().public), CODE))
+    def enrol(self, *names: str) -> list[str]:
+        """Let entrants enrol; return their tokens."""
+        return [self.ask(Enrol(name, encode(new_pair().public), CODE))["token"] for name in names]
 
     def attempt(self, name: str) -> int:
         """Let an entrant play an attempt, until it is over; return its number."""

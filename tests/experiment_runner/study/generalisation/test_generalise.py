@@ -223,16 +223,16 @@ def test_summary_is_as_rliable_defines_it() -> None:
     train, test = rng.normal(60, 10, (3, 8)), rng.normal(20, 10, (3, 8))
     summary = summarise(document(train, test))
     middle = np.sort(test.ravel())[6:18]  # a quarter of 24 is trimmed at each end
-    assert summary.episode_return[1].value == pytest.approx(middle.mean())
-    assert summary.goal_rate[0].value == pytest.approx((train > 50).mean())
-    assert summary.goal_rate[2].value == pytest.approx((train > 50).mean() - (test > 50).mean())
-    for interval in (*summary.goal_rate, *summary.episode_return):
+    assert summary[4].value == pytest.approx(middle.mean())
+    assert summary[0].value == pytest.approx((train > 50).mean())
+    assert summary[2].value == pytest.approx((train > 50).mean() - (test > 50).mean())
+    for interval in summary:
         assert interval.low <= interval.value <= interval.high
-    assert summary.episode_return[2].low > 20
+    assert summary[5].low > 20
     # Trials that agree leave no uncertainty about a level.
-    same = summarise(document([train[0]] * 3, [test[0]] * 3)).episode_return[0]
+    same = summarise(document([train[0]] * 3, [test[0]] * 3))[3]
     assert same.low == same.value == same.high
-    alone = summarise(document([train[0]], [test[0]])).episode_return[0]
+    alone = summarise(document([train[0]], [test[0]]))[3]
     assert alone.low < alone.value < alone.high
 
 

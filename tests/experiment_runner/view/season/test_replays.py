@@ -43,7 +43,7 @@ def record(path: Path) -> list[list[bytes]]:
             writer.start()
             for step in range(6):
                 action = Action(ints=[(step + episode) % 4])
-                found = step_of(environment, environment.env_step(action))
+                found = step_of(environment.env_step(action))
                 writer.step(action.body, found.reward)
                 bodies.append(found.observation.body)
                 if found.terminal:
