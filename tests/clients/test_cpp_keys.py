@@ -38,7 +38,8 @@ class Keyed:
 
     def hub(self) -> AbstractContextManager[str]:
         """Run a hub that admits only the keys on its list; yield its URL."""
-        return hub_with(bind=Bind("tcp://127.0.0.1:*", keys=read_keys(self.folder.path)))
+        bind = Bind("tcp://127.0.0.1:*", keys=read_keys(self.folder.path))
+        return hub_with(bind=bind, greeting=1.0)  # who has no key is told when the hub drops it
 
     def variables(self, name: str) -> dict[str, str]:
         """Return the environment variables by which a program finds its keys."""
