@@ -14,7 +14,7 @@ Source: Steele, Lea and Flood (2014), Fast splittable pseudorandom number genera
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Protocol
+from typing import Annotated, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -32,16 +32,25 @@ _30: Final = np.uint64(30)
 _31: Final = np.uint64(31)
 
 
-class Chooser(Protocol):
-    """The fields that a record needs to choose: a generator's state and the chance to explore.
+class Learner:
+    """The state of a learner apart from its table: hyperparameters, generator and counters.
 
-    After `cycles` decision cycles that chance is epsilon * reduction ** cycles.
+    cycles   decision cycles so far, which shrink epsilon
+    entries  values in the table
+    errors   sum of the absolute TD errors of the episode
+    updates  number of updates in the episode
     """
 
-    random: np.uint64
-    epsilon: float
-    reduction: float
-    cycles: int
+    step_size: Real
+    discount: Real
+    epsilon: Real
+    reduction: Real
+    learning: Flag
+    random: Word
+    cycles: Int
+    entries: Int
+    errors: Real
+    updates: Int
 
 
 def seeded(seed: int) -> np.uint64:
@@ -58,14 +67,14 @@ def mix(word: np.uint64) -> np.uint64:
 
 
 @jit
-def uniform(chooser: Chooser) -> float:
+def uniform(chooser: Learner) -> float:
     """Draw from [0, 1), a multiple of 2**-53."""
     chooser.random += _GOLDEN
     return float(mix(chooser.random) >> _11) * 2.0**-53
 
 
 @jit
-def below(chooser: Chooser, count: int) -> int:
+def below(chooser: Learner, count: int) -> int:
     """Draw one of 0 .. count - 1, all equally likely; nothing is drawn if there is only one."""
     if count == 1:
         return 0
@@ -73,7 +82,7 @@ def below(chooser: Chooser, count: int) -> int:
 
 
 @jit
-def epsilon_greedy(chooser: Chooser, values: npt.NDArray[np.float64], count: int) -> int:
+def epsilon_greedy(chooser: Learner, values: npt.NDArray[np.float64], count: int) -> int:
     """Choose among the first `count` values: any with the chance to explore, otherwise one of the largest.
 
     Source: Mohan (2010), epsilon-greedy exploration; ties as Soar breaks them, at random.
@@ -126,27 +135,6 @@ class Entry:
 
     key: Word
     value: Real
-
-
-class Learner:
-    """The state of a learner apart from its table: hyperparameters, generator and counters.
-
-    cycles   decision cycles so far, which shrink epsilon
-    entries  values in the table
-    errors   sum of the absolute TD errors of the episode
-    updates  number of updates in the episode
-    """
-
-    step_size: Real
-    discount: Real
-    epsilon: Real
-    reduction: Real
-    learning: Flag
-    random: Word
-    cycles: Int
-    entries: Int
-    errors: Real
-    updates: Int
 
 
 class Taken:

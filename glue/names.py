@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from itertools import takewhile
 
 TYPE_CHECKING = False  # not imported: see glue.cli.entry
 if TYPE_CHECKING:
@@ -30,12 +31,7 @@ def others(folders: Iterable[str]) -> dict[str, str]:
 
 def hidden_names() -> str:
     """Return a line about packages that Python finds before ours, with the remedy; empty if there is none."""
-    before = []
-    for folder in sys.path:
-        if os.path.realpath(folder) == _HOME:
-            break
-        before.append(folder)
-    hidden = others(before)
+    hidden = others(takewhile(lambda folder: os.path.realpath(folder) != _HOME, sys.path))
     if not hidden:
         return ""
     return (

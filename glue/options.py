@@ -227,15 +227,22 @@ def _unknown(factory: type, name: str, known: Mapping[str, Parameter]) -> str:
 
 
 def keywords(
-    creator: Any, help_text: str, defaults: Mapping[str, Any] | None = None
+    creator: Any,
+    help_text: str,
+    own: Sequence[inspect.Parameter],
+    left_out: str,
+    defaults: Mapping[str, Any] | None = None,
 ) -> list[inspect.Parameter]:
-    """Return the parameters with a default that are numbers, texts or truth values.
+    """Return the parameters with a default that are numbers, texts or truth values, and `own` after them.
 
     Args:
         creator: the constructor: a class or a function.
         help_text: the help text of each parameter.
+        own: further options, in place of parameters of the same names.
+        left_out: name of a parameter that is no option.
         defaults: values in place of the constructor's own defaults.
     """
+    taken = {"self", left_out, *(each.name for each in own)}
     known = defaults or {}
     signature = inspect.signature(creator)
     try:
@@ -248,11 +255,11 @@ def keywords(
         stated = (hints.get(name), *typing.get_args(hints.get(name)))
         kinds = [one for one in _SIMPLE if one in stated]
         kind: Any = type(default) if isinstance(default, _SIMPLE) else kinds[0] if kinds else None
-        if name == "self" or kind is None or default is parameter.empty:
+        if name in taken or kind is None or default is parameter.empty:
             continue
         default = default if isinstance(default, _SIMPLE) else None
         found.append(option(name, default, Annotated[kind | None, Option(help_text)]))
-    return found
+    return [*found, *own]
 
 
 def option(name: str, default: Value | None, annotation: Any) -> inspect.Parameter:

@@ -95,7 +95,6 @@ class SeedableEnvironment(Protocol):
 
     def env_seed(self, seed: int) -> None:
         """Seed every random choice from now on; 0 <= seed < 2**63."""
-        ...
 
 
 class SeedableAgent(Protocol):
@@ -103,7 +102,6 @@ class SeedableAgent(Protocol):
 
     def agent_seed(self, seed: int) -> None:
         """Seed every random choice from now on; 0 <= seed < 2**63."""
-        ...
 
 
 class SaveableEnvironment(Protocol):
@@ -111,7 +109,6 @@ class SaveableEnvironment(Protocol):
 
     def env_save(self) -> bytes:
         """Return everything that later episodes depend on. Called between episodes."""
-        ...
 
     def env_load(self, data: bytes) -> None:
         """Continue from `data`, which `env_save` of the same class returned. Called after env_init.
@@ -119,7 +116,6 @@ class SaveableEnvironment(Protocol):
         Raises:
             GlueError: `data` is damaged or of another class or version.
         """
-        ...
 
 
 class SaveableAgent(Protocol):
@@ -127,7 +123,6 @@ class SaveableAgent(Protocol):
 
     def agent_save(self) -> bytes:
         """Return everything that later episodes depend on: values, generator, counters. Not a pickle."""
-        ...
 
     def agent_load(self, data: bytes) -> None:
         """Continue from `data`, which `agent_save` of the same class returned. Called after agent_init.
@@ -135,7 +130,6 @@ class SaveableAgent(Protocol):
         Raises:
             GlueError: `data` is damaged or of another class or version.
         """
-        ...
 
 
 class MetricAgent(Protocol):
@@ -149,7 +143,6 @@ class MetricAgent(Protocol):
         interrupted run has the metrics of an undisturbed one. A name has 1 to 64 characters, without line
         breaks.
         """
-        ...
 
 
 class PacedAgent(Protocol):
@@ -165,7 +158,6 @@ class PacedAgent(Protocol):
             deadline: seconds until the environment's next step.
             latency: seconds that the answer before took, the way there and back included.
         """
-        ...
 
 
 class BatchEnvironment(Protocol):
@@ -176,7 +168,6 @@ class BatchEnvironment(Protocol):
 
     def env_batch(self) -> int:
         """Return the number of games."""
-        ...
 
 
 class BatchAgent(Protocol):
@@ -184,7 +175,6 @@ class BatchAgent(Protocol):
 
     def agent_batch(self) -> int:
         """Return the number of games in which it can act at once; 0 for any number."""
-        ...
 
 
 class MaskEnvironment(Protocol):
@@ -243,16 +233,22 @@ def capabilities(player: object) -> tuple[str, ...]:
     )
 
 
-class _Completed:
+class Wrapper:
+    """A player around another, `__wrapped__`, which has all the methods that this one has not."""
+
+    __wrapped__: Any
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__wrapped__, name)
+
+
+class _Completed(Wrapper):
     """A player completed with the methods that its class leaves out."""
 
     def __init__(self, player: Any, base: type, missing: list[str]) -> None:
         self.__wrapped__ = player
         for name in missing:
             setattr(self, name, partial(getattr(base, name), player))
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.__wrapped__, name)
 
 
 def completed(player: Any, base: type) -> Any:

@@ -439,8 +439,8 @@ def arrays_of(value: AbstractType) -> dict[str, npt.NDArray[Any]]:
     return {"ints": value.ints, "doubles": value.doubles, "chars": np.frombuffer(value.chars, np.uint8)}
 
 
-def step_of(environment: object, answer: Any) -> Step:
-    """Return the result of `env_step` of `environment` as a `Step` whose `truncated` implies `terminal`.
+def step_of(answer: Any) -> Step:
+    """Return the result of an `env_step` as a `Step` whose `truncated` implies `terminal`.
 
     Raises:
         TypeError, ValueError: the answer is not the result of a step.
@@ -454,9 +454,6 @@ def step_of(environment: object, answer: Any) -> Step:
         if terminal is False and type(reward) is float:
             return _step(Step, (reward, observation, False, False, _NO_ACTION))  # the usual case
         truncated = type(terminal) is int and terminal == CUT_OFF
-        asked = getattr(environment, "env_truncated", None)  # the older way to report a truncation
-        if terminal and not truncated and callable(asked):
-            truncated = asked()
     if not isinstance(terminal, _TRUTH):
         raise TypeError(f"terminal is True or False, not {terminal!r}")
     return Step(float(reward), observation, bool(terminal or truncated), bool(truncated))

@@ -8,7 +8,7 @@ with random ones, or the published tasks themselves.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from typing import Any, Final, NamedTuple
 
@@ -22,11 +22,10 @@ from env_server.mario.game import Game
 from env_server.mario.parameters import INSTANCES, MDPS, Parameters, resolve
 from experiment_runner.analysis.stats import mean
 from experiment_runner.report.tables import markdown_table
-from experiment_runner.study.generalisation.players import is_won, level_set, play
+from experiment_runner.study.generalisation.players import is_won, level_set
 from experiment_runner.study.generalisation.summary import estimated
 from glue.cli.shared import run
 from glue.errors import ConfigError
-from glue.types import Action
 
 GROUPS: Final = (*(f"instance-{number}" for number in range(INSTANCES)), *MDPS, "random", "mdps")
 """Names of groups of tasks: constants on the levels of test-1000, or the 20 MDPs on their own levels."""
@@ -70,7 +69,7 @@ def outcomes(group: str, levels: int) -> Iterator[PhysicsResult]:
         told.agent_init(task_spec)
         identified, predicted, *learned = _learn(learner, task, np.array([*values.values()]))
         game = Game(task)
-        total = play(told, game, game.start(), lambda _: None)
+        total = _play(told, game, lambda: None)
         yield PhysicsResult(identified, predicted, bool(learned[0]), is_won(game), learned[1], total)
 
 
@@ -149,15 +148,34 @@ def _learn(
     game = Game(task)
     identified, steps, before = np.inf, 0, 0
 
-    def chosen(_: Action) -> None:
+    def chosen() -> None:
         nonlocal identified, steps, before
         if np.isinf(identified) and np.abs(agent.physics.constants - truth)[five].max() <= _TOLERANCE:
             identified, before = steps, agent.physics.surprises
         steps += 1
 
-    total = play(agent, game, game.start(), chosen)
+    total = _play(agent, game, chosen)
     wrong = agent.physics.surprises - before
     return identified, 1 - wrong / max(steps - identified, 1), is_won(game), total
+
+
+def _play(agent: PlannerAgent, game: Game, chosen: Callable[[], None]) -> float:
+    """Play an episode; return the sum of its rewards.
+
+    Args:
+        agent: initialised; it is not notified of the end of the episode.
+        game: not started.
+        chosen: called before each action is carried out.
+    """
+    total, ended = 0.0, False
+    action = agent.agent_start(game.start())
+    while not ended:
+        chosen()
+        reward, observation, ended = game.step(*InfiniteMario.buttons_of(action))
+        total += reward
+        if not ended:
+            action = agent.agent_step(reward, observation)
+    return total
 
 
 @click.command("python -m studies.physics")

@@ -26,7 +26,7 @@ FOLDERS: Final = {
     "experiment_runner/loggers": "loggers",
     "experiment_runner/study": "studies",
     "experiment_runner/view/browser": "page",
-    **{f"env_server/gym/test_{name}.py": "gymnasium" for name in ("pufferlib", "torchrl")},
+    "env_server/gym/test_libraries.py": "gymnasium",
     **{f"glue/gym/test_{name}.py": "gymnasium" for name in ("games", "maskable", "sb3")},
     "glue/openenv/test_openenv.py": "openenv",
     "jails": "containers",

@@ -18,7 +18,7 @@ from glue.hub.io.loop import Loop
 from glue.hub.io.server import Hub
 from glue.hub.session import Peer, Session
 from glue.hub.sessions import Sessions
-from glue.legacy.codec import TO_AGENT, TO_ENVIRONMENT, TO_EXPERIMENT
+from glue.legacy.codec import TO
 from glue.legacy.peers import LegacyPeer
 from glue.legacy.pending import Pending
 from glue.wire.codec import FROM_HUB, TO_HUB
@@ -29,7 +29,7 @@ _PLAIN: Final = (bytes, bytearray, str, int, float)
 _SHARED: Final = (
     *(type, Enum, Hub, HubConfig, Bind, Keys, Memory, Loop, Log, Sessions, channels.Channels, Pending),
 )
-_VOCABULARIES: Final = (TO_HUB, FROM_HUB, TO_AGENT, TO_ENVIRONMENT, TO_EXPERIMENT)
+_VOCABULARIES: Final = (TO_HUB, FROM_HUB, *TO.values())
 """What all holders share; none of them weighs it."""
 
 _HOLDERS: Final = (Session, channels._SocketChannel, LegacyPeer)

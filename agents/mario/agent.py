@@ -63,8 +63,8 @@ class SarsaOptions:
     seed: Seed = None
 
 
-class MarioAgent(Agent):
-    """An agent for Infinite Mario.
+class SeededAgent(Agent):
+    """An agent with a seed of its own, or the experiment's.
 
     Args:
         seed: a seed to use instead of the experiment's; None to use the experiment's.
@@ -76,14 +76,30 @@ class MarioAgent(Agent):
         self._own_seed = seed
         self._seed = seed or 0
 
-    @abc.abstractmethod
-    def _reset(self) -> None:
-        """Forget everything, and seed the random choices with `_seed`."""
-
     def agent_seed(self, seed: int) -> None:
         """Seed every random choice after the next init, unless the option `seed` was given."""
         if self._own_seed is None:
             self._seed = seed
+
+    def _check_task(self, version: str, task_spec: str) -> None:
+        """Check the version of a task spec.
+
+        Raises:
+            ConfigError: the task is not Infinite Mario.
+        """
+        if version != MARIO:
+            raise ConfigError(
+                f"agent {self.name} plays Infinite Mario only, whose task spec begins VERSION {MARIO}; "
+                f"it received {task_spec!r:.80}: use it with the environment mario"
+            )
+
+
+class MarioAgent(SeededAgent):
+    """An agent for Infinite Mario."""
+
+    @abc.abstractmethod
+    def _reset(self) -> None:
+        """Forget everything, and seed the random choices with `_seed`."""
 
     def agent_init(self, task_spec: str) -> None:
         """Forget everything.
@@ -95,9 +111,5 @@ class MarioAgent(Agent):
             version = parse_task_spec(task_spec).version
         except TaskSpecError:
             version = ""
-        if version != MARIO:
-            raise ConfigError(
-                f"agent {self.name} plays Infinite Mario only, whose task spec begins VERSION {MARIO}; "
-                f"it received {task_spec!r:.80}: use it with the environment mario"
-            )
+        self._check_task(version, task_spec)
         self._reset()

@@ -13,7 +13,6 @@ actions of other productions can execute any Soar command.
 
 from __future__ import annotations
 
-import abc
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,15 +21,14 @@ from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 
-from agents.mario.agent import SarsaOptions, Seed
+from agents.mario.agent import SarsaOptions, Seed, SeededAgent
 from agents.soar.kernel import Kernel, SoarLink, require_soar
 from agents.soar.mario_link import MarioLink
 from agents.soar.task_link import TaskLink
 from glue.errors import ConfigError, SaveError
 from glue.options import Option
-from glue.roles import Agent
 from glue.saves import Saved, pack, unpack
-from glue.taskspec import MARIO, TaskSpec, parse_task_spec
+from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import Action, Observation
 
 PRODUCTIONS: Final = Path(__file__).parent / "productions"
@@ -52,7 +50,7 @@ _RULE: Final = re.compile(
 _QUOTED: Final = re.compile(r"\|[^|{}\n]*\|")
 
 
-class SoarPlayer(Agent):
+class SoarPlayer(SeededAgent):
     """An agent made of Soar productions.
 
     Args:
@@ -64,38 +62,30 @@ class SoarPlayer(Agent):
         ConfigError: soar-sml is not installed, or there is no such file.
     """
 
-    name: ClassVar[str]
-
     def __init__(self, productions: Path, max_cycles: int, seed: int | None) -> None:
         require_soar()
         if not productions.is_file():
             raise ConfigError(f"there is no file of productions {str(productions)!r}")
         self._productions = productions
         self._max_cycles = max_cycles
-        self._own_seed = seed
-        self._seed = seed or 0
+        super().__init__(seed)
         self._task: TaskSpec | None = None
         self._kernel: Kernel | None = None
         self._link: SoarLink | None = None
         self._episodes = 0
         self._cycles = 0
 
-    @abc.abstractmethod
     def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
         """Return the input and output links for a task.
 
         Raises:
             ConfigError: this agent does not play the task.
         """
+        return TaskLink(kernel, task)
 
     def _commands(self) -> Iterable[str]:
         """Return the commands that apply the agent's options, once the productions have been loaded."""
         return ()
-
-    def agent_seed(self, seed: int) -> None:
-        """Seed every random choice after the next init, unless the option `seed` was given."""
-        if self._own_seed is None:
-            self._seed = seed
 
     def agent_init(self, task_spec: str) -> None:
         """Forget everything, and load the productions into a new kernel.
@@ -207,7 +197,7 @@ class SoarPlayer(Agent):
         once = _text(saved, "once").split("\n")
         seed, episodes, cycles = (saved.number(name) for name in ("seed", "episodes", "cycles"))
         kernel = self._new_kernel()
-        kernel.skip_once(once)
+        kernel.once.update(once)
         kernel.command("production excise --rl")
         for rule in reversed(rules):  # Soar prints the newest first
             kernel.command(rule)
@@ -289,9 +279,6 @@ class SoarAgent(SoarPlayer):
             )
         super().__init__(Path(productions), max_cycles, seed)
 
-    def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
-        return TaskLink(kernel, task)
-
 
 class SoarMinesAgent(SoarPlayer):
     """An example of a Soar agent: it learns the way across the mines."""
@@ -300,9 +287,6 @@ class SoarMinesAgent(SoarPlayer):
 
     def __init__(self, *, max_cycles: MaxCycles = 100, seed: Seed = None) -> None:
         super().__init__(PRODUCTIONS / "mines.soar", max_cycles, seed)
-
-    def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
-        return TaskLink(kernel, task)
 
 
 class SoarHierarchicalAgent(SoarPlayer):
@@ -330,11 +314,7 @@ class SoarHierarchicalAgent(SoarPlayer):
         )
 
     def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
-        if task.version != MARIO:
-            raise ConfigError(
-                f"agent {self.name} plays Infinite Mario only, whose task spec begins VERSION {MARIO}; "
-                f"it received {str(task)!r:.80}: use it with the environment mario"
-            )
+        self._check_task(task.version, str(task))
         return MarioLink(kernel, task)
 
 

@@ -17,7 +17,8 @@ from __future__ import annotations
 import abc
 import itertools
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -70,6 +71,10 @@ class Kernel:
         name: name of the agent, for Soar's own messages.
         max_cycles: maximum number of decision cycles in a step.
 
+    Attributes:
+        once: the first lines of the commands that the right-hand side function `once` has executed, and that
+            it will skip.
+
     Raises:
         ConfigError: soar-sml is not installed.
     """
@@ -79,7 +84,7 @@ class Kernel:
         self._name = name
         self._unique_name = f"{name}-{next(_numbers)}"
         self._max_cycles = max_cycles
-        self._once: set[str] = set()
+        self.once: set[str] = set()
         self._failure: Exception | None = None
         self._agent = self._kernels.kernel.CreateAgent(self._unique_name)
         self._kernels.agents[self._unique_name] = self
@@ -129,20 +134,11 @@ class Kernel:
         """Return the rules that give operators a numeric value, as productions, with their current values."""
         return self.command("print --rl --full")
 
-    @property
-    def once(self) -> frozenset[str]:
-        """The first lines of the commands that the right-hand side function `once` has executed."""
-        return frozenset(self._once)
-
-    def skip_once(self, first_lines: Iterable[str]) -> None:
-        """Have `once` skip the commands with these first lines, as if it had executed them."""
-        self._once.update(first_lines)
-
     def execute_once(self, command: str) -> None:
         """Execute a command unless one with the same first line was executed; an error ends the run."""
         first_line = command.partition("\n")[0]
-        if first_line not in self._once:
-            self._once.add(first_line)
+        if first_line not in self.once:
+            self.once.add(first_line)
             try:
                 self.command(command)
             except SoarError as error:
@@ -158,7 +154,12 @@ class Kernel:
         """
         self._agent.Commit()
         self._agent.RunSelfTilOutput()
-        self._check()
+        self._raise_failure()
+        if self._agent.GetRunState() == self._kernels.halted:
+            raise SoarError(
+                f"the Soar agent {self._name} has halted in the middle of an episode: a rule executed "
+                f"(halt), or the kernel gave up; its goal stack is\n{_end_of(self.command('print --stack'))}"
+            )
         if not self._agent.GetNumberCommands():
             raise SoarError(
                 f"the Soar agent {self._name} has put no command on its output link in {self._max_cycles} "
@@ -191,14 +192,6 @@ class Kernel:
         """The number of decision cycles since `reinitialize`."""
         return int(self._agent.GetDecisionCycleCounter())
 
-    def _check(self) -> None:
-        self._raise_failure()
-        if self._agent.GetRunState() == self._kernels.halted:
-            raise SoarError(
-                f"the Soar agent {self._name} has halted in the middle of an episode: a rule executed "
-                f"(halt), or the kernel gave up; its goal stack is\n{_end_of(self.command('print --stack'))}"
-            )
-
     def _raise_failure(self) -> None:
         failure, self._failure = self._failure, None
         if failure is not None:
@@ -206,14 +199,12 @@ class Kernel:
 
 
 _numbers = itertools.count(1)
-_all_kernels: _Kernels | None = None
 
 
+@cache
 def _kernels() -> _Kernels:
-    global _all_kernels
     require_soar()
-    _all_kernels = _all_kernels or _Kernels()
-    return _all_kernels
+    return _Kernels()
 
 
 def require_soar() -> None:

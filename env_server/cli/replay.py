@@ -6,7 +6,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,8 +15,9 @@ from glue import __version__
 from glue.cli.shared import FILE
 from glue.console import one_line, say
 from glue.errors import ConfigError
+from glue.installed import needing
 from glue.options import parse_assignments
-from glue.plugins.loading import find
+from glue.plugins.loading import find, make
 from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
 
@@ -180,14 +180,12 @@ class _Counted:
 
 def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[RecordedRun], Environment]:
     """Return a function that makes the environment of a run: the recorded one, or the requested one."""
-    from env_server.replay.episodes import build_named
-
     if name is None:
         if assignments:
             raise ConfigError("--env-option needs --env: name the environment too")
         return _build_recorded
     options = parse_assignments(find(Role.ENVIRONMENT, name), assignments)
-    return lambda run: build_named(name, {**run.options, **options})
+    return lambda run: make(name, **{**run.options, **options})
 
 
 def _build_recorded(run: RecordedRun) -> Environment:
@@ -218,15 +216,13 @@ def _write_datasets(files: Sequence[Path], dataset: str | None, parquet: Path | 
     if len(readers) < len(files):
         raise TrajectoryError("recordings of the original Mario cannot be datasets: some have only hashes")
     if parquet is not None:
-        if find_spec("pyarrow") is None:
-            raise ConfigError("Parquet needs pyarrow: pip install 'glue-rl[parquet]'")
-        from env_server.datasets.parquet import write_parquet
+        with needing("parquet", "Parquet needs pyarrow"):
+            from env_server.datasets.parquet import write_parquet
 
         say(f"wrote {parquet}: {_number_of(write_parquet(readers, parquet), 'episode')}")
     if dataset is not None:
-        if find_spec("minari") is None:
-            raise ConfigError("datasets of Minari need it: pip install 'glue-rl[minari]'")
-        from env_server.datasets.minari import write_minari
+        with needing("minari", "datasets of Minari need it"):
+            from env_server.datasets.minari import write_minari
 
         say(f"wrote the dataset {dataset}: {_number_of(write_minari(readers, dataset), 'episode')}")
 

@@ -111,7 +111,8 @@ def write_parquet(readers: Sequence[TrajectoryReader], path: Path) -> int:
                     runs.append(episode.run)
                 writer.write_table(_table(episode, len(runs) - 1, count))
                 count += 1
-            writer.add_key_value_metadata({"runs": json.dumps([_described(run) for run in runs])})
+            known = [{name: v for name, v in asdict(run).items() if name != "state"} for run in runs]
+            writer.add_key_value_metadata({"runs": json.dumps(known)})
         partial.replace(path)
     except OSError as error:
         raise ConfigError(f"cannot write {path}: {error.strerror or error}") from None
@@ -140,9 +141,3 @@ def _table(episode: Played, run: int, number: int) -> Any:
 
 def _columns(values: Sequence[AbstractType]) -> list[list[Any]]:
     return [[v.ints for v in values], [v.doubles for v in values], [v.chars for v in values]]
-
-
-def _described(run: Run) -> dict[str, object]:
-    fields = asdict(run)
-    del fields["state"]
-    return fields

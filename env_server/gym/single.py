@@ -19,6 +19,7 @@ from env_server.gym.spaces import (
     unpack,
     what_is_wrong_with,
 )
+from env_server.mario.level_sets import resolve_levels
 from env_server.mario.many.games import INFOS
 from glue.errors import SimulatorError
 
@@ -67,9 +68,8 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
     ) -> None:
         self.action_space: gymnasium.Space[Any] = action_space(action)
         self._renderer = Renderer(render_mode)
-        self._games = make_games(
-            1, observation, options, levels=levels, num_levels=num_levels, start_level=start_level
-        )
+        chosen = resolve_levels(levels, num_levels, start_level)
+        self._games = make_games(1, observation, options, levels=chosen)
         self.observation_space: gymnasium.Space[Any] = observation_space(observation)
         # The class lists every mode, for gymnasium.make; an instance lists those that work here.
         self.metadata = {**type(self).metadata, "render_modes": usable_modes()}

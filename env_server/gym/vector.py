@@ -22,6 +22,7 @@ from env_server.gym.spaces import (
     unpack,
     what_is_wrong_with,
 )
+from env_server.mario.level_sets import resolve_levels
 from env_server.mario.many.games import DISABLED, INFOS, NEXT_STEP, SAME_STEP, Games
 from glue.errors import ConfigError, SimulatorError
 from glue.gym.vectors import AutoresetMode, read_mode
@@ -91,9 +92,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             mode=_MODES[mode],
             threads=min(num_threads, num_envs),
             max_episode_steps=max_episode_steps,
-            levels=levels,
-            num_levels=num_levels,
-            start_level=start_level,
+            levels=resolve_levels(levels, num_levels, start_level),
         )
         self._games.copies = copy
         self.single_observation_space: Space[Any] = observation_space(observation)

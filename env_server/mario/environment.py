@@ -222,7 +222,11 @@ class InfiniteMario(Environment):
             return json.dumps(asdict(self._parameters) | {"level": picture and picture.sha256})
         if question == "level":
             try:
-                self._change_level(_parse_level(assignments))
+                level = parse_assignments(InfiniteMario, assignments)
+                if other := next((name for name in level if name not in _LEVEL), None):
+                    known = ", ".join(_LEVEL)
+                    return f"refused: a message changes {known}; {other} is fixed when Mario is made"
+                self._change_level(level)
             except ConfigError as error:
                 return f"refused: {error}"
             if picture is not None:
@@ -338,14 +342,6 @@ def _extras(world: Any) -> dict[str, int | float | str]:
         "death": death,
         "mode": "fire" if fire else "large" if large else "small",
     }
-
-
-def _parse_level(assignments: list[str]) -> dict[str, Any]:
-    level = parse_assignments(InfiniteMario, assignments)
-    for name in level:
-        if name not in _LEVEL:
-            raise ConfigError(f"a message changes {', '.join(_LEVEL)}; {name} is fixed when Mario is made")
-    return level
 
 
 def _what_is_wrong_with(action: Action) -> str:

@@ -27,33 +27,14 @@ import numpy as np
 import numpy.typing as npt
 
 from env_server.mario import belief
-from env_server.mario.observation import BODY_SIZE
+from env_server.mario.observation import BODY_SIZE as BODY_SIZE
 from env_server.mario.parameters import resolve
 from env_server.mario.sim import step as rules
-from env_server.mario.sim.state import COLUMNS, FREE, LEVEL, WORLD, Levels, Worlds
+from env_server.mario.sim.state import COLUMNS as COLUMNS
+from env_server.mario.sim.state import FREE, Levels, Worlds
+from env_server.mario.sim.state import LEVEL as LEVEL
+from env_server.mario.sim.state import WORLD as WORLD
 from glue.compiled.jit import entry, jit
-
-__all__ = [
-    "ACTIONS",
-    "BODY_SIZE",
-    "COLUMNS",
-    "CONSTANTS",
-    "LEVEL",
-    "WORLD",
-    "change",
-    "constants",
-    "correct",
-    "finds",
-    "load",
-    "make",
-    "place",
-    "predicts",
-    "rewind",
-    "row_size",
-    "save",
-    "start",
-    "step",
-]
 
 ACTIONS: Final = np.array(
     [(direction, jump, run) for direction in (-1, 0, 1) for jump in (0, 1) for run in (0, 1)], np.int64

@@ -18,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from env_server.render.artwork import CLOUD, MARK, PALETTE, SPRITES, TILES, WING
+from env_server.render.artwork import CLOUD, MARK, PALETTE, SPRITES, TILES, WING, Lines
 from env_server.render.scene import Scene, Sprite, between, outlined, read_scene
 from glue.cli.screen import Marks
 from glue.errors import ConfigError
@@ -158,10 +158,10 @@ def _draw(scene: Scene) -> Picture:
     for row in range(HEIGHT // _TILE):
         for column in range(len(scene.rows[row])):
             for name in _tiles(scene.rows, row, column):
-                _paste(picture, tile(name), (scene.column + column) * _TILE - camera, row * _TILE)
+                _paste(picture, drawn(TILES[name]), (scene.column + column) * _TILE - camera, row * _TILE)
     for x, height in scene.marks:
         left, top = round(x * _TILE) - camera, round(HEIGHT + _TILE - height * _TILE)
-        _paste(picture, mark(), left - len(MARK) // 2, top - len(MARK) // 2)
+        _paste(picture, drawn(MARK), left - len(MARK) // 2, top - len(MARK) // 2)
     for shown in reversed(scene.sprites):
         if shown.kind != _PLANT:
             _draw_sprite(picture, shown, camera)
@@ -179,7 +179,7 @@ def _background(camera: int) -> Picture:
         crest = top - 22 * np.sin(far / 53) - 11 * np.sin(far / 23 + 1)
         picture[rows >= crest] = _LETTERS[letter]
     for number, height in enumerate((26, 58, 14, 44)):
-        _paste(picture, cloud(), int(130 * number - camera * 0.12) % 520 - 100, height)
+        _paste(picture, drawn(CLOUD), int(130 * number - camera * 0.12) % 520 - 100, height)
     return picture
 
 
@@ -237,35 +237,18 @@ def _draw_sprite(picture: Picture, shown: Sprite, camera: int) -> None:
 @cache
 def sprite(kind: int, to_the_left: bool, winged: bool) -> Picture:
     """Return a picture of Mario or a monster, by its number in observations."""
-    image = _picture(SPRITES[kind])
+    image = drawn(SPRITES[kind])
     if winged:
-        wing = _picture(WING)
         space = np.full((image.shape[0] + 4, image.shape[1] + 8), CLEAR, np.uint8)
         _paste(space, image, 4, 4)
-        _paste(space, wing, 0, max(0, image.shape[0] - 18))
+        _paste(space, drawn(WING), 0, max(0, image.shape[0] - 18))
         image = space
     return image[:, ::-1] if to_the_left else image
 
 
 @cache
-def tile(name: str) -> Picture:
-    """Return a tile of `artwork.TILES`."""
-    return _picture(TILES[name])
-
-
-@cache
-def cloud() -> Picture:
-    """Return the picture of a cloud."""
-    return _picture(CLOUD)
-
-
-@cache
-def mark() -> Picture:
-    """Return the picture of a mark, to be centered on its position."""
-    return _picture(MARK)
-
-
-def _picture(lines: tuple[str, ...]) -> Picture:
+def drawn(lines: Lines) -> Picture:
+    """Return a picture of `env_server.render.artwork`."""
     return np.array([[_LETTERS[letter] for letter in line] for line in lines], np.uint8)
 
 

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from glue.cli.screen import TerminalScreen
-from glue.roles import Environment
+from glue.roles import Environment, Wrapper
 from glue.types import Action, Observation, Step, step_of
 
 
-class Rendered:
+class Rendered(Wrapper):
     """`environment`, with every observation drawn on `screen`; otherwise unchanged."""
 
     def __init__(self, environment: Environment, screen: TerminalScreen) -> None:
-        self.__wrapped__ = environment
+        self.__wrapped__: Environment = environment
         self._screen = screen
         self._step = 0
         self._return = 0.0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.__wrapped__, name)
 
     def env_start(self) -> Observation:
         observation = self.__wrapped__.env_start()
@@ -28,7 +23,7 @@ class Rendered:
         return observation
 
     def env_step(self, action: Action) -> Step:
-        step = step_of(self.__wrapped__, self.__wrapped__.env_step(action))
+        step = step_of(self.__wrapped__.env_step(action))
         self._step += 1
         self._return += step.reward
         self._screen.show(step.observation, step.reward, self._step, self._return)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from env_server.render.scene import COLUMNS, KINDS, ROWS, Scene, Sprite, buried_cells, is_scene, read_scene
+from env_server.render.scene import COLUMNS, KINDS, ROWS, Sprite, buried_cells, is_scene, read_scene
 from env_server.toys import MINES_MAP
 from glue.cli.screen import Marks, draw_numbers
 from glue.types import Observation
@@ -65,23 +65,16 @@ def draw_text(observation: Observation, color: bool = False, marks: Marks = ()) 
         row, column = ROWS - 1 - int(height), int(x) - scene.column
         if 0 <= row < ROWS and 0 <= column < COLUMNS:
             grid[row][column] = _MARK
-    in_sight = _in_sight(scene)
-    for (row, column), sprite in reversed(in_sight):
-        grid[row][column] = _sprite_glyph(sprite)
+    in_sight = []
+    for sprite in reversed(scene.sprites):  # Mario, the first, is drawn last
+        row, column = sprite.cell
+        if 0 <= row < ROWS and 0 <= column - scene.column < COLUMNS:
+            in_sight.append(sprite)
+            grid[row][column - scene.column] = _sprite_glyph(sprite)
     lines = ["".join(_paint(glyph, color) for glyph in row) for row in grid]
     mario = scene.sprites[0]
     speed = f"speed {mario.speed_x:+.2f} {mario.speed_y:+.2f} tiles/step"
-    return [*lines, f"{_legend([sprite for _, sprite in in_sight], color)}  {speed}"]
-
-
-def _in_sight(scene: Scene) -> list[tuple[tuple[int, int], Sprite]]:
-    """Return the sprites in the drawing, each with its row and column there."""
-    placed = []
-    for sprite in scene.sprites:
-        row, column = sprite.cell
-        if 0 <= row < ROWS and 0 <= column - scene.column < COLUMNS:
-            placed.append(((row, column - scene.column), sprite))
-    return placed
+    return [*lines, f"{_legend(in_sight[::-1], color)}  {speed}"]
 
 
 def _sprite_glyph(sprite: Sprite) -> _Glyph:

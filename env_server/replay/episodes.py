@@ -34,7 +34,7 @@ from env_server.render.scene import element_name, is_scene
 from glue.errors import ConfigError, GlueError
 from glue.files import open_regular
 from glue.options import Value, build
-from glue.plugins.loading import find, names
+from glue.plugins.loading import make, names
 from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment, offers
 from glue.trajectory import MAX_EPISODE, MAX_STEPS, Episode, Run, TrajectoryError, TrajectoryReader
 from glue.trajectory.comparison import Outcomes, compare, unequal
@@ -174,19 +174,6 @@ class GoldenEpisode:
     start: Observation | Digest
     steps: Iterator[GoldenStep]
 
-    def begin_run(self, environment: Environment) -> None:
-        """Bring a fresh environment to the start of this episode, the first of its run."""
-        environment.env_init()
-        if isinstance(environment, _Buttoned):
-            environment.buttons = self.keys
-
-    def difference_before(self, environment: Environment) -> str:
-        """Return how the buttons held now differ from those recorded for the start; "" if they do not."""
-        if not isinstance(environment, _Buttoned) or environment.buttons == self.keys:
-            return ""
-        expected, got = (list(map(int, keys)) for keys in (self.keys, environment.buttons))
-        return f"the keys held: expected {expected}, got {got}"
-
 
 @dataclass(frozen=True, slots=True)
 class GoldenLevel:
@@ -195,16 +182,16 @@ class GoldenLevel:
     options: Mapping[str, Value]
     level: Level
 
-    def difference(self) -> str:
-        """Return how the level that our environment makes differs from this one; "" if it does not."""
+    def check(self) -> None:
+        """Raise Difference if the level that our environment makes differs from this one."""
         from env_server.mario.environment import InfiniteMario  # here, as the simulator loads slowly
 
         mario: InfiniteMario = build(InfiniteMario, self.options)
         mario.env_init()
         mario.env_start()
-        difference = level_difference(self.level, mario.game.level)
-        task = " ".join(f"{name}={value}" for name, value in self.options.items())
-        return difference and f"{task}: {difference}"
+        if difference := level_difference(self.level, mario.game.level):
+            task = " ".join(f"{name}={value}" for name, value in self.options.items())
+            raise Difference(f"{task}: {difference}")
 
 
 class GoldenReader:
@@ -417,17 +404,7 @@ def build_environment(run: RecordedRun) -> Environment:
     """
     if run.environment not in names(Role.ENVIRONMENT):
         raise NotInstalled(run.environment)
-    return build_named(run.environment, run.options)
-
-
-def build_named(name: str, options: Mapping[str, Value]) -> Environment:
-    """Return the environment called `name`, made with `options`.
-
-    Raises:
-        ConfigError: there is none, or the options do not fit.
-    """
-    environment: Environment = build(find(Role.ENVIRONMENT, name), options)
-    return environment
+    return make(run.environment, **run.options)
 
 
 def replayed_moments(
@@ -485,9 +462,7 @@ def _compare_levels(recorded: Iterable[Recorded]) -> Iterator[RecordedEpisode]:
     """Yield the episodes; between them, check that the simulator makes the same levels."""
     for part in recorded:
         if isinstance(part, GoldenLevel):
-            difference = part.difference()
-            if difference:
-                raise Difference(difference)
+            part.check()
         else:
             yield part
 
@@ -508,7 +483,9 @@ def _place(episode: RecordedEpisode, number: int, step: int) -> str:
 def _initialise(environment: Environment, first: RecordedEpisode) -> None:
     """Bring the environment to the start of the first episode of its run."""
     if isinstance(first, GoldenEpisode):
-        first.begin_run(environment)
+        environment.env_init()
+        if isinstance(environment, _Buttoned):
+            environment.buttons = first.keys
         return
     run = first.run
     if run.seed is not None and offers(environment, SeedableEnvironment):
@@ -528,8 +505,9 @@ def _replay_episode(
     if isinstance(episode, Episode):
         for message in episode.messages:
             environment.env_message(message)
-    elif difference := episode.difference_before(environment):
-        raise Difference(f"{_place(episode, number, 0)}: {difference}")
+    elif isinstance(environment, _Buttoned) and environment.buttons != episode.keys:
+        expected, held = (list(map(int, keys)) for keys in (episode.keys, environment.buttons))
+        raise Difference(f"{_place(episode, number, 0)}: the keys held: expected {expected}, got {held}")
     total = 0.0
     for step, (action, reward, seen, terminal) in enumerate(_outcomes(episode)):
         place = _place(episode, number, step)
@@ -537,7 +515,7 @@ def _replay_episode(
             if action is None:
                 got = Step(0.0, environment.env_start(), False)
             else:
-                got = step_of(environment, environment.env_step(action))
+                got = step_of(environment.env_step(action))
         except GlueError as error:
             raise Difference(f"{place}: the environment refused: {error}") from error
         difference = _difference((reward, seen, terminal), got)

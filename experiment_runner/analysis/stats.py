@@ -34,6 +34,11 @@ Statistic = Callable[..., Any]
 FEW_TRIALS: Final = 5
 """Number of trials below which a bootstrap interval is too narrow to rely on."""
 
+_CONFIDENCE: Final = 0.95
+_RESAMPLES: Final = 2000
+_SIMULATED: Final = 400
+"""Number of comparisons that are simulated for each number of trials."""
+
 _ELEMENTS_AT_ONCE: Final = 4_000_000  # of one batch of resamples, 32 MB
 
 
@@ -119,15 +124,6 @@ def interquartile_mean(values: FloatArray, axis: int = 0) -> Any:
     return np.where(np.isnan(values).any(axis=-1), np.nan, middle)[()]
 
 
-def binomial_cdf(k: int, n: int, p: float) -> float:
-    """Return the probability that a binomial variable of `n` draws is at most `k`.
-
-    Raises:
-        ExperimentError: SciPy is not installed.
-    """
-    return float(_scipy_stats().binom.cdf(k, n, p))
-
-
 def welch_p(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the p-value of Welch's t-test of equal means, along the last axis; 1 where nothing varies.
 
@@ -142,22 +138,13 @@ def welch_p(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.where(np.isnan(found), np.where(same, 1.0, 0.0), found)
 
 
-def estimate(
-    strata: Sequence[FloatArray],
-    statistic: Statistic,
-    rng: np.random.Generator,
-    *,
-    confidence: float = 0.95,
-    resamples: int = 2000,
-) -> Estimate:
-    """Return a statistic of the pooled trials, and its stratified bootstrap interval.
+def estimate(strata: Sequence[FloatArray], statistic: Statistic, rng: np.random.Generator) -> Estimate:
+    """Return a statistic of the pooled trials, and its stratified 95 % bootstrap interval.
 
     Args:
         strata: one array (trials, ...) for each setting; they differ at most in the first axis.
         statistic: `mean`, `interquartile_mean` or the like, along an axis.
         rng: for resampling; the same state gives the same interval.
-        confidence: level of the interval, between 0 and 1, exclusive.
-        resamples: number of resamples.
 
     Returns:
         Arrays of shape (...). Low and high are NaN if a stratum has fewer than two trials.
@@ -169,18 +156,18 @@ def estimate(
     trials_last = [np.moveaxis(stratum, 0, -1) for stratum in strata]
     found = []
     with np.errstate(invalid="ignore"):  # returns may be infinite
-        for first in range(0, resamples, at_once):
-            size = min(at_once, resamples - first)
+        for first in range(0, _RESAMPLES, at_once):
+            size = min(at_once, _RESAMPLES - first)
             drawn = [of[..., rng.integers(of.shape[-1], size=(size, of.shape[-1]))] for of in trials_last]
             found.append(statistic(np.concatenate(drawn, axis=-1), axis=-1))
-        return Estimate(value, *_middle(np.concatenate(found, axis=-1), confidence))
+        return Estimate(value, *_middle(np.concatenate(found, axis=-1)))
 
 
-def _middle(found: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
-    """Return the ends of the middle share of the values along the last axis; NaN if one of these is NaN."""
+def _middle(found: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the ends of the middle 95 % of the values along the last axis; NaN if one of these is NaN."""
     count = found.shape[-1]
     ordered = np.sort(found, axis=-1)  # NaN last
-    tail = (1 - share) / 2
+    tail = (1 - _CONFIDENCE) / 2
 
     def end(quantile: float) -> FloatArray:  # interpolated linearly
         beyond, place = math.modf(quantile * count + (1 - quantile))  # counting from 1
@@ -194,9 +181,6 @@ def _scipy_stats() -> Any:
     with needing("plot", "t-tests and tolerance intervals need SciPy", ExperimentError):
         from scipy import stats  # type: ignore[import-untyped]  # it has no types
     return stats
-
-
-_RESAMPLES: Final = 2000
 
 
 class Comparison(NamedTuple):
@@ -246,10 +230,8 @@ def profile(values: FloatArray, thresholds: FloatArray) -> FloatArray:
     return shares
 
 
-def tolerance_interval(
-    values: FloatArray, share: float = 0.9, confidence: float = 0.95
-) -> tuple[float, float]:
-    """Return a distribution-free interval that contains a share of all trials with this confidence.
+def tolerance_interval(values: FloatArray, share: float = 0.9) -> tuple[float, float]:
+    """Return a distribution-free interval that contains a share of all trials, with a confidence of 95 %.
 
     Its ends are order statistics, chosen by the binomial distribution: the smallest symmetrical pair that
     reaches the confidence. NaN, NaN if there are too few trials for any pair.
@@ -257,14 +239,13 @@ def tolerance_interval(
     Args:
         values: performance in each trial, shape (trials,).
         share: of all trials, between 0 and 1, exclusive.
-        confidence: between 0 and 1, exclusive.
 
     Raises:
         ExperimentError: SciPy is not installed.
 
     Source: Wilks (1941), "Determination of sample sizes for setting tolerance limits".
     """
-    outside = _trials_outside(len(values), share, confidence)
+    outside = _trials_outside(len(values), share)
     if outside == 0:
         return math.nan, math.nan
     ordered = np.sort(values)
@@ -272,11 +253,11 @@ def tolerance_interval(
 
 
 @cache
-def _trials_outside(count: int, share: float, confidence: float) -> int:
+def _trials_outside(count: int, share: float) -> int:
     """Return k for the interval from the k-th smallest of `count` trials to the k-th greatest; 0 for none."""
     for outside in range(count // 2, 0, -1):
         # The interval spans count + 1 - 2 k spacings.
-        if binomial_cdf(count - 2 * outside, count, share) >= confidence:
+        if _scipy_stats().binom.cdf(count - 2 * outside, count, share) >= _CONFIDENCE:
             return outside
     return 0
 
@@ -288,7 +269,6 @@ def trials_needed(
     *,
     power: float = 0.8,
     most: int = 1000,
-    resamples: int = 400,
 ) -> int | None:
     """Return the number of trials per agent needed to detect a difference; None if more than `most`.
 
@@ -301,25 +281,22 @@ def trials_needed(
         rng: for resampling.
         power: required probability of detecting the difference.
         most: largest number of trials considered.
-        resamples: number of simulated comparisons for each number of trials.
     """
     low, high = 1, most
-    if _power(pilot, difference, high, rng, resamples) < power:
+    if _power(pilot, difference, high, rng) < power:
         return None
     while high - low > 1:
         middle = (low + high) // 2
-        if _power(pilot, difference, middle, rng, resamples) < power:
+        if _power(pilot, difference, middle, rng) < power:
             low = middle
         else:
             high = middle
     return high
 
 
-def _power(
-    pilot: FloatArray, difference: float, trials: int, rng: np.random.Generator, resamples: int
-) -> float:
+def _power(pilot: FloatArray, difference: float, trials: int, rng: np.random.Generator) -> float:
     """Return the share of simulated comparisons of `trials` trials that detect the difference."""
-    a, b = rng.choice(pilot, size=(2, resamples, trials))
+    a, b = rng.choice(pilot, size=(2, _SIMULATED, trials))
     return float(np.mean(welch_p(a + difference, b) < 0.05))
 
 

@@ -100,8 +100,8 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     """Let every entrant play every task. After an interruption, the same command plays the rest."""
     from experiment_runner.competition.course import course_of
     from experiment_runner.competition.organiser import hold, open_competition
+    from experiment_runner.competition.season.acts import answering
     from experiment_runner.competition.season.control import Door
-    from experiment_runner.competition.season.service import answering
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_secret
     from experiment_runner.executors.opening import kept_if_begun

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +12,7 @@ from typing import Any, Final
 import click
 
 from experiment_runner.cli.options import check_address, naming_out
-from experiment_runner.cli.season_options import page_options
+from experiment_runner.cli.season_page import page_options
 from experiment_runner.plan.limits import Backend
 from glue.cli.shared import DIRECTORY, FILE
 from glue.console import one_line, say
@@ -84,10 +84,9 @@ def serve(
     It ends when `close` closes the season. Whatever stops it before, the same command goes on where it was.
     """
     from experiment_runner.competition.organiser import open_competition
-    from experiment_runner.competition.season.executors import executor_of
     from experiment_runner.competition.season.images import remove_others
-    from experiment_runner.competition.season.service import check_gate
-    from experiment_runner.competition.season.service import serve as hold
+    from experiment_runner.competition.season.server import Server, check_gate
+    from experiment_runner.competition.season.worker import executor_of
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_code, read_secret
     from experiment_runner.executors.opening import kept_if_begun
@@ -112,7 +111,7 @@ def serve(
         if page is not None:
             stack.enter_context(season_viewed(out, {"page": page, **of_page}, say))
         say(f"the season is served from {out}")
-        hold(store, competition, secret, code, gate, executor, say)
+        stack.enter_context(Server(store, competition, secret, code, gate, say)).serve(executor)
         if competition.season.images:
             with suppress(GlueError, ImportError):  # without an engine there are none
                 remove_others(out)
@@ -210,37 +209,32 @@ ACTS: Final = (
 
 
 def organise(directory: Path, kind: str, **wish: Any) -> None:
-    """Carry out a wish of the organiser, by the server of the run if there is one, and show the acts.
+    """Carry out a wish of the organiser, by the server of the run if there is one, and show the acts: without
+    one, they are written to the journal here.
 
     Raises:
         ExperimentError: it is refused, or the directory holds no competition.
     """
-    from experiment_runner.competition.season.control import NoServer, ask
+    from experiment_runner.competition.board.forms import line_of
+    from experiment_runner.competition.course import course_of
+    from experiment_runner.competition.records.journal import utc_now
+    from experiment_runner.competition.records.seal import check_seal, record_acts, seal
+    from experiment_runner.competition.season.acts import acts_for
+    from experiment_runner.competition.season.control import NoServer, Organise, ask
+    from experiment_runner.store.store import Store
 
     try:
         reply = ask(directory, {"do": "act", "act": kind, **wish})
     except NoServer:
-        lines = _by_itself(directory, kind, wish)
+        with Store.open(directory) as store:
+            seal(store)
+            check_seal(store)
+            acts = acts_for(Organise(kind, **wish), course_of(directory), store.outcomes(), utc_now())
+            record_acts(store, acts)
+        lines = [line_of(one) for one in acts]
     else:
         if not reply["ok"]:
             raise ExperimentError(one_line(str(reply["error"])))
         lines = reply["acts"]
     for line in lines:
         say(line)
-
-
-def _by_itself(directory: Path, kind: str, wish: Mapping[str, Any]) -> list[str]:
-    """Write the acts of a wish to the journal of a run that nobody holds."""
-    from experiment_runner.competition.board.forms import line_of
-    from experiment_runner.competition.course import Course, act_on
-    from experiment_runner.competition.records.journal import Act, utc_now
-    from experiment_runner.competition.season.acts import acts_for, competition_given
-    from experiment_runner.competition.season.control import Organise
-    from experiment_runner.store.results import Results
-
-    def acts(course: Course, results: Results) -> list[Act]:
-        competition_given(wanted, course)
-        return acts_for(wanted, course, results.outcomes(), utc_now())
-
-    wanted = Organise(kind, **wish)
-    return [line_of(one) for one in act_on(directory, acts)]

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import click
 
-from experiment_runner.cli.options import backend_options, check_backend
+from experiment_runner.cli.options import backend_options, check_address
 from experiment_runner.plan.limits import CHECKPOINT_EVERY, COUNTS, PLAYERS, Backend
 from experiment_runner.view.launch import check_view
 from glue import __version__
@@ -297,7 +297,7 @@ def experiment(**settings: Any) -> int:
             metrics=plan.metrics,
             extras=plan.extras,
         )
-        check_backend(config)
+        check_address(backend, options.address)
         run_plan.check_players(config, plan)
         if options.record is not None:
             run_plan.check_recording(config, plan)

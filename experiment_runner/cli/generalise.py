@@ -7,18 +7,16 @@ import shlex
 import sys
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import click
 
-from experiment_runner.cli.options import backend_options, check_backend, naming_out
+from experiment_runner.cli.options import backend_options, check_address, naming_out
 from experiment_runner.plan.limits import Backend
 from glue import __version__
 from glue.console import say
 from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
-
-_T = TypeVar("_T")
 
 
 @click.group("glue-generalise", invoke_without_command=True)
@@ -108,16 +106,8 @@ _T = TypeVar("_T")
 @click.pass_context
 def generalise(
     context: click.Context,
+    /,
     agent_name: str | None,
-    agent_options: tuple[str, ...],
-    train: str,
-    test: str,
-    sets: tuple[str, ...],
-    learn: int,
-    relearn: int,
-    seeds: tuple[int, ...],
-    questions: tuple[str, ...],
-    noise: float,
     name: str | None,
     workers: int | None,
     engine: str,
@@ -125,6 +115,7 @@ def generalise(
     out: Path | None,
     results: tuple[Path, ...],
     certificates: Path | None,
+    **of_benchmark: Any,
 ) -> int:
     """Score an agent on training levels and on unseen levels of Infinite Mario.
 
@@ -164,19 +155,10 @@ def generalise(
         return 0
     if agent_name is None:
         raise click.UsageError("name the agent with --agent, or results with --table")
-    benchmark = Benchmark(
-        name=name or agent_name,
-        agent=agent_name,
-        agent_options=agent_options,
-        train=set_name(train),
-        test=set_name(test),
-        sets=_distinct(tuple(map(set_name, sets))),
-        learn=learn,
-        relearn=relearn,
-        seeds=_distinct(seeds),
-        questions=_distinct(questions),
-        noise=noise,
-    )
+    of_benchmark |= {each: set_name(of_benchmark[each]) for each in ("train", "test")}
+    of_benchmark["sets"] = map(set_name, of_benchmark["sets"])
+    distinct = {each: tuple(dict.fromkeys(of_benchmark[each])) for each in ("sets", "seeds", "questions")}
+    benchmark = Benchmark(name or agent_name, agent_name, **of_benchmark | distinct)
     config = RunConfig(
         Placement(BOTH),
         backend=Backend(engine),
@@ -184,7 +166,7 @@ def generalise(
         address=address,
         questions=(LAST_REWARD, LAST_ACTIONS, *benchmark.questions),
     )
-    check_backend(config)
+    check_address(config.backend, address)
     is_file = out is not None and out.suffix == ".json"
     given = out.with_suffix("") if out is not None and is_file else out
     with ExitStack() as stack:
@@ -224,7 +206,3 @@ def verify(path: Path) -> int:
         wrong += 1
     print(f"{wrong} scores are wrong" if wrong else "every score is what its actions earn")
     return 1 if wrong else 0
-
-
-def _distinct(values: tuple[_T, ...]) -> tuple[_T, ...]:
-    return tuple(dict.fromkeys(values))

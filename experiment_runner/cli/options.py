@@ -16,7 +16,6 @@ from glue.errors import ConfigError, ExperimentError
 
 if TYPE_CHECKING:
     from experiment_runner.analysis.settings import Setting
-    from experiment_runner.executors.job import RunConfig
     from experiment_runner.view.server import Place
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -87,17 +86,12 @@ def backend_options(*backends: Backend) -> Callable[[_Command], _Command]:
     return lambda command: workers(engine(address(command)))
 
 
-def check_backend(config: RunConfig) -> None:
+def check_address(backend: Backend, address: str | None) -> None:
     """Check the address of a cluster.
 
     Raises:
         ConfigError: it is malformed, or trials do not run on a cluster.
     """
-    check_address(config.backend, config.address)
-
-
-def check_address(backend: Backend, address: str | None) -> None:
-    """Check the address of a cluster, as `check_backend`."""
     from experiment_runner.executors.workers import parse_address
 
     if address is not None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import warnings
 from collections import defaultdict
-from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -105,7 +104,7 @@ def plot(
     from experiment_runner.report.sketch import sketches
     from experiment_runner.report.tables import counted
     from experiment_runner.store.records import MEASURES
-    from experiment_runner.store.results import Results
+    from experiment_runner.store.results import opened
     from experiment_runner.store.run_data import extra_columns
 
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
@@ -120,8 +119,7 @@ def plot(
         raise click.UsageError("--title, --size and --columns are for a file: --out curves.png")
     if metric and (out is None or kind != "curves"):
         raise click.UsageError("--metric draws curves and needs a file: --out metric.png")
-    with ExitStack() as stack:
-        runs = [stack.enter_context(Results.open(directory)) for directory in directories]
+    with opened(directories) as runs:
         extras = dict.fromkeys(name for run in runs for name in extra_columns(run))
         known = [*MEASURES, *extras, *([REWARD] if over == "steps" else [])]
         if measure not in known:

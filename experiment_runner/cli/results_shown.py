@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -18,7 +17,7 @@ from experiment_runner.report.comparing import COLUMNS, compared, left_out, need
 from experiment_runner.report.markup import LATEX, MARKDOWN, paper_table
 from experiment_runner.report.overview import FEW, Overview, as_object, as_text, overview
 from experiment_runner.report.tables import format_table, terminal_width
-from experiment_runner.store.results import Results
+from experiment_runner.store.results import Results, opened
 from glue.cli.shared import DIRECTORY
 from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError
@@ -82,8 +81,7 @@ def show(directories: tuple[Path, ...], sort: str | None, over: str, as_json: bo
       glue-results show runs/mine runs/other --sort mean
       glue-results show runs/mine --json | jq '.settings[].mean'
     """
-    with ExitStack() as stack:
-        runs = [stack.enter_context(Results.open(directory)) for directory in directories]
+    with opened(directories) as runs:
         if as_json:
             found = [as_object(run, over) for run in runs]
             click.echo(json.dumps(found[0] if len(found) == 1 else found, indent=2))
@@ -142,8 +140,7 @@ def table_command(directories: tuple[Path, ...], kind: str, over: str, select: t
       glue-results table runs/sweep --format latex > table.tex
       glue-results table runs/mine runs/other --select sarsa
     """
-    with ExitStack() as stack:
-        runs = [stack.enter_context(Results.open(directory)) for directory in directories]
+    with opened(directories) as runs:
         settings = options.selected(collect(runs), select)
     click.echo(paper_table(settings, over, LATEX if kind == "latex" else MARKDOWN))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -20,7 +19,7 @@ from experiment_runner.store.database import reported
 from experiment_runner.store.layout import STREAMS, remove_run
 from experiment_runner.store.merge import merge as merge_runs
 from experiment_runner.store.records import TrialRecord
-from experiment_runner.store.results import Results
+from experiment_runner.store.results import Results, opened
 from glue.cli.shared import DIRECTORY, FILE
 from glue.console import did_you_mean, say
 from glue.errors import ConfigError, ExperimentError
@@ -93,8 +92,8 @@ def merge(directories: tuple[Path, ...], out: Path) -> None:
     Examples:
       glue-results merge runs/lab1 runs/lab2 --out runs/both
     """
-    with ExitStack() as stack, naming_out():
-        merge_runs([stack.enter_context(Results.open(directory)) for directory in directories], out)
+    with opened(directories) as runs, naming_out():
+        merge_runs(runs, out)
     say(f"wrote {out}")
 
 

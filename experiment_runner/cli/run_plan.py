@@ -19,14 +19,7 @@ import click
 
 from experiment_runner.cli.options import naming_out
 from experiment_runner.executors.job import HubOptions, RunConfig
-from experiment_runner.executors.opening import (
-    FINISH,
-    finished_at,
-    kept_if_begun,
-    open_run,
-    recorded_plan,
-    remaining,
-)
+from experiment_runner.executors.opening import FINISH, kept_if_begun, open_run, recorded_plan, remaining
 from experiment_runner.executors.recording import recorded
 from experiment_runner.executors.run import run_trials
 from experiment_runner.plan.limits import PLAYERS
@@ -197,8 +190,8 @@ def _note(store: Store, kind: str, line: str, say: Callable[[str], None]) -> Non
 
 def _since(store: Store) -> str:
     """Return the date at which a run was finished, as in ` on 2026-11-22 10:30 UTC`, if it was recorded."""
-    time = finished_at(store)
-    return "" if time is None else f" on {date(time)}"
+    times = [event.time for event in store.events() if event.kind == FINISH]
+    return f" on {date(max(times))}" if times else ""
 
 
 def resume_command(store: Store, config: RunConfig) -> str:

@@ -52,8 +52,6 @@ def check_entrants(competition: Competition, directory: Path, say: Callable[[str
         with LocalExecutor(1, MODULE, REPORTS, warm=environments) as executor:
             for entrant in competition.entrants:
                 report = directory / entrant.name / "report.txt"
-                with reported(f"cannot write to {report.parent}"):
-                    report.parent.mkdir(parents=True, exist_ok=True)
                 problem, lines = _checked(competition, entrant, directory, executor)
                 with reported(f"cannot write to {report.parent}"):
                     write_flushed(report, "\n".join(lines) + "\n")

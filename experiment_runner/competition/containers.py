@@ -78,14 +78,7 @@ class _Unreachable(ConfigError):
 
 
 class Containers(Starter):
-    """Starts entrants that have an image.
-
-    Args:
-        warn: shows a line about an image that can take part but should be improved.
-    """
-
-    def __init__(self, warn: Callable[[str], None] = say) -> None:
-        self._warn = warn
+    """Starts entrants that have an image."""
 
     def check(self, entrant: Entrant, limits: Limits) -> str:
         """Check that the image is on this machine and can be jailed; return its id.
@@ -108,7 +101,7 @@ class Containers(Starter):
             raise ConfigError(f"the image {entrant.image} cannot be read: {_in_short(error)}") from None
         warning = check_image(str(entrant.image), found["Config"], found["Size"])
         if warning is not None and not entrant.id:
-            self._warn(f"{entrant.name}: {warning}")
+            say(f"{entrant.name}: {warning}")
         return str(found["Id"])
 
     def load(self, file: BinaryIO, repository: str) -> str:

@@ -2,100 +2,72 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Final
 
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.records.journal import Act, act, acts_of
-from experiment_runner.competition.records.seal import check_seal, record_acts, seal
+from experiment_runner.competition.records.journal import EVERYBODY, Act, act, acts_of
 from experiment_runner.competition.settings import (
     Competition,
     Entrant,
-    Season,
-    changed,
     changes,
     load_competition,
 )
+from experiment_runner.competition.state import IMAGE_ID, State
 from experiment_runner.competition.trials import attempt_trials, levels, trials
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.layout import COMPETITION_FILE
-from experiment_runner.store.results import Results
-from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
-IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
-"""The ids of images."""
 
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Course:
     """A competition with the acts of its organiser.
 
     Args:
         competition: as it was at the start.
-        acts: of its journal; none in a run of version 0.3.
+        acts: of its journal.
     """
 
     competition: Competition
     acts: Sequence[Act]
 
+    @cached_property
+    def state(self) -> State:
+        """The state after all acts.
+
+        Raises:
+            ExperimentError: an act cannot have been.
+        """
+        state = State(self.competition.season)
+        for one in self.acts:
+            state.apply(one)
+        return state
+
     @property
     def entrants(self) -> Mapping[str, Act]:
         """The entrants by name, with the act that admitted each, which has its present player and id."""
-        found = {
-            one.name: Act("", journal.ENTER, one.name, "", player=one.player)
-            for one in self.competition.entrants
-        }
-        for one in self.acts:
-            if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
-                found[one.subject] = one
-            elif one.act == journal.IMAGE and one.subject in found:
-                found[one.subject] = replace(found[one.subject], player=one.player, id=one.id)
-        return found
-
-    @property
-    def season(self) -> Season | None:
-        """The rules of the season, with the changes that were made to them; None if there is none.
-
-        Raises:
-            ExperimentError: a change is not allowed.
-        """
-        found = self.competition.season
-        for one in self.acts:
-            if found is not None and one.act == journal.CHANGE:
-                found = changed(found, one.subject, one.value)
-        return found
+        return {name: one.present for name, one in self.state.entrants.items()}
 
     @property
     def in_season(self) -> bool:
         """Whether there is a season that is not closed, so that no testing task is played yet."""
-        return self.competition.season is not None and all(one.act != journal.CLOSE for one in self.acts)
+        return self.state.rules is not None and self.state.closed is None
 
     @property
     def excluded(self) -> Mapping[str, str]:
         """The reason for each exclusion, by the entrant's name."""
-        return self._in_force(journal.EXCLUDE, journal.READMIT)
+        return {name: one.excluded for name, one in self.state.entrants.items() if one.excluded}
 
     @property
     def paused(self) -> Mapping[str, str]:
-        """The reason why no trial of an entrant, or of `EVERYBODY`, is started, outside of a season."""
-        return self._in_force(journal.PAUSE, journal.RESUME, journal.CLOSE)
-
-    def _in_force(self, begins: str, ends: str, ends_all: str | None = None) -> Mapping[str, str]:
-        """Return the reason of each act of the kind `begins` that none since has ended, by its subject."""
-        found: dict[str, str] = {}
-        for one in self.acts:
-            if one.act == begins:
-                found[one.subject] = one.reason
-            elif one.act == ends:
-                found.pop(one.subject, None)
-            elif one.act == ends_all:
-                found.clear()
-        return found
+        """The reason why nothing is started of an entrant, or of `EVERYBODY`."""
+        found = {EVERYBODY: self.state.paused}
+        found |= {name: one.paused for name, one in self.state.entrants.items()}
+        return {who: why for who, why in found.items() if why}
 
     @property
     def images(self) -> set[str]:
@@ -143,9 +115,8 @@ class Course:
             ExperimentError: it has other entrants, or other rules than at the start.
         """
         entrants = self.entrants
-        enrolled = {one.subject for one in self.acts if one.act == journal.ENROL}
         named = {one.name for one in competition.entrants}
-        for name in named ^ (set(entrants) - enrolled):
+        for name in named ^ {name for name, one in entrants.items() if one.act != journal.ENROL}:
             raise ExperimentError(
                 f"entrant {name} is not in the run yet: glue-compete add can add it"
                 if name in named
@@ -158,8 +129,8 @@ class Course:
                     f"the run was begun with other {what}: put back what its competition.toml has, or choose "
                     "another directory"
                 )
-        submitted = {one.subject for one in self.acts if one.act == journal.IMAGE}
-        known = {one.name: one for one in competition.entrants if one.name not in submitted}
+        state = self.state
+        known = {one.name: one for one in competition.entrants if state.entrants[one.name].image is None}
         found = (
             replace(known[name], id=one.id) if name in known else entrant_of(one)
             for name, one in entrants.items()
@@ -196,7 +167,7 @@ class Course:
 
     def changes(self, competition: Competition) -> list[Act]:
         """Return the acts of giving the season the rules that its file has now."""
-        was, now = self.season, competition.season
+        was, now = self.state.rules, competition.season
         if was is None or now is None or not self.in_season:
             return []
         return [
@@ -231,8 +202,9 @@ class Course:
         for trial in dict.fromkeys(trials):
             found = counting.get(TrialId(trial))
             if found is None:
+                such = next(iter(counting), "alice/easy/0")
                 raise ExperimentError(
-                    f"there is no trial {trial}: give entrant, task and number, as in {next(iter(counting))}"
+                    f"there is no trial {trial}: give entrant, task and number, as in {such}"
                 )
             if found not in over:
                 raise ExperimentError(f"{trial} is not over: glue-compete run plays it anyway")
@@ -255,11 +227,19 @@ def _rules(competition: Competition) -> dict[str, object]:
     }
 
 
-def entrant_of(admitted: Act) -> Entrant:
-    """Return an entrant that enrolled or submitted an image, from the act that admitted it."""
-    if IMAGE_ID.fullmatch(admitted.id):
-        return Entrant(admitted.subject, image=admitted.player, id=admitted.id)
-    return Entrant(admitted.subject, key=Path(admitted.player), id=admitted.id)
+def entrant_of(playing: Act, named: Entrant | None = None) -> Entrant:
+    """Return an entrant as it plays.
+
+    Args:
+        playing: has its player and id.
+        named: the entrant as the file names it; None if it has enrolled.
+    """
+    image = IMAGE_ID.fullmatch(playing.id)
+    if named is not None and (not image or named.player == playing.player):
+        return replace(named, id=playing.id)
+    if image:
+        return Entrant(playing.subject, image=playing.player, id=playing.id)
+    return Entrant(playing.subject, key=Path(playing.player), id=playing.id)
 
 
 def course_of(directory: Path) -> Course:
@@ -272,22 +252,3 @@ def course_of(directory: Path) -> Course:
     if not path.is_file():
         raise ExperimentError(f"{directory} holds no competition: glue-compete run makes one")
     return Course(load_competition(path, follow=False), acts_of(directory))
-
-
-def act_on(directory: Path, make: Callable[[Course, Results], list[Act]]) -> list[Act]:
-    """Append acts to the journal of a run, renew its seal, and return them.
-
-    Args:
-        directory: of the run.
-        make: returns the acts for what the run is now.
-
-    Raises:
-        ExperimentError: the directory holds no competition, is in use, was changed since it was sealed or
-            cannot be written to; or `make` raises it.
-    """
-    with Store.open(directory) as store:
-        seal(store)
-        check_seal(store)
-        made = make(course_of(directory), store)
-        record_acts(store, made)
-    return made

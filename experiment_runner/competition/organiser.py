@@ -59,11 +59,6 @@ _IDLE_SECONDS: Final = 0.5
 Say = Callable[[str], None]
 
 
-def log_path(directory: Path, trial_id: str) -> Path:
-    """Return the path of the log of a trial's entrant."""
-    return directory / LOGS / f"{trial_id}.log"
-
-
 def open_competition(directory: Path, text: str, competition: Competition, secret: bytes) -> Store:
     """Return the store of a competition: a new one, or the one in the directory if it is the same. There, a
     season gets the rules that its file has now.
@@ -180,7 +175,7 @@ def matches(
         assert spec.agent is not None
         assert spec.environment is not None
         entrant = entrants[spec.agent.label]
-        log = log_path(directory, spec.id)
+        log = directory / LOGS / f"{spec.id}.log"
         made.append(Match(spec, entrant, competition.limits, steps[spec.environment.label], log, run, gate))
     return made
 
@@ -235,6 +230,7 @@ class Matches(Closing):
 
     Attributes:
         matches: by the ids of their trials.
+        dispatcher: of the jobs, once they may begin.
     """
 
     def __init__(self, store: Store, say: Say) -> None:
@@ -243,17 +239,10 @@ class Matches(Closing):
         self._say = say
         self._records: dict[str, RecordFile] = {}
         self._forfeits: dict[str, str] = {}
-        self._dispatcher: Dispatcher | None = None
-
-    @property
-    def dispatcher(self) -> Dispatcher:
-        """The dispatcher of the jobs, once they may begin."""
-        assert self._dispatcher is not None
-        return self._dispatcher
 
     def begin(self, dispatcher: Dispatcher) -> None:
         """Take the dispatcher of the jobs."""
-        self._dispatcher = dispatcher
+        self.dispatcher: Dispatcher = dispatcher
 
     def play(self, match: Match) -> None:
         """Let a match wait for its start."""
@@ -363,20 +352,18 @@ class Held(Matches):
         for who, why in self._paused.items():
             self._say(f"{who} is paused: {why}; glue-compete resume {self._store.directory} ends that")
 
-    def record(self, acts: Sequence[Act], given: Competition | None = None) -> None:
+    def record(self, acts: Sequence[Act], added: Iterable[Entrant] = ()) -> None:
         """Write acts to the journal, and carry them out.
 
         Args:
             acts: of the organiser.
-            given: has the entrants that are added; None if there are none.
+            added: the entrants that they add.
 
         Raises:
             ExperimentError: its levels were changed, or the run cannot be written to.
         """
-        course, competition = Course(self.course.competition, [*self.course.acts, *acts]), self._competition
-        if given is not None:
-            added = [one for one in given.entrants if one.name not in self.course.entrants]
-            competition = replace(competition, entrants=(*competition.entrants, *added))
+        course = Course(self.course.competition, [*self.course.acts, *acts])
+        competition = replace(self._competition, entrants=(*self._competition.entrants, *added))
         new = _missing(self._store, course, course.specs(course.admitted(competition), self._secret))
         record_acts(self._store, acts)
         if new:
@@ -403,11 +390,8 @@ class Held(Matches):
         """Return whether a match may start: entrants that join at the same address play one at a time."""
         if not self._paused.keys().isdisjoint((EVERYBODY, TrialId(trial_id).parts[0])):
             return False
-        joins = self._joins_from_elsewhere
-        return not (joins(trial_id) and any(map(joins, running)))
-
-    def _joins_from_elsewhere(self, trial_id: str) -> bool:
-        return self.matches[trial_id].entrant.key is not None
+        keyed, *others = (self.matches[one].entrant.key is not None for one in (trial_id, *running))
+        return not (keyed and any(others))
 
     def end(self, trial_id: str, failure: str | None) -> None:
         """Store the outcome of a match, or its failure, and show it."""

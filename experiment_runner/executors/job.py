@@ -233,7 +233,7 @@ def unpack(data: bytes) -> Iterator[Any]:
 def encode(value: object) -> bytes:
     """Return a job or report as bytes, for a stream that `unpacker` reads.
 
-    A job's players are in one process, or use a hub that the executor starts.
+    A job's players are in one process, or use a hub that the executor starts. Paths and ids become text.
     """
     import msgspec  # slow to import
 
@@ -255,20 +255,6 @@ def decode(value: Any, kinds: Mapping[str, type[_T]]) -> _T:
 
     try:
         name, fields = value
-        return msgspec.convert(fields, kinds[name], dec_hook=_construct)
+        return msgspec.convert(fields, kinds[name], dec_hook=lambda kind, text: kind(text))
     except (TypeError, ValueError, KeyError, msgspec.ValidationError) as error:
         raise ExperimentError(f"expected {', '.join(kinds)}, got {value!r:.80}") from error
-
-
-def decode_job(value: Any) -> Job:
-    """Return the job from an unpacked value of `encode`.
-
-    Raises:
-        ExperimentError: the value is no job.
-    """
-    return decode(value, {Job.__name__: Job})
-
-
-def _construct(kind: type, value: Any) -> Any:
-    """Return a path or a trial's id from its text."""
-    return kind(value)

@@ -11,7 +11,6 @@ and the same files, except that the plan may have more episodes or more trials.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -32,18 +31,6 @@ from glue.errors import ConfigError, ExperimentError, HubUnreachable, Refused
 
 FINISH: Final = "finish"
 """Kind of the event recorded when all trials of a run are finished."""
-
-
-class OtherRun(DirectoryTaken):
-    """A directory has a run of a different plan, or of files that were changed since.
-
-    Attributes:
-        differences: one line for each.
-    """
-
-    def __init__(self, directory: Path, what: str, differences: Sequence[str]) -> None:
-        super().__init__(directory, f"{what} ({'; '.join(differences)})")
-        self.differences = differences
 
 
 class Remaining(NamedTuple):
@@ -86,7 +73,6 @@ def open_run(
     run: Plan | Definition,
     *,
     say: Callable[[str], None] = lambda line: None,
-    clock: Callable[[], float] = time.time,
 ) -> Store:
     """Return the store of a run: a new one, or the one in the directory, prepared to continue.
 
@@ -94,11 +80,10 @@ def open_run(
         directory: contains the run, or will contain it.
         run: its plan, or what else defines it. The classes of its players must have been found.
         say: shows a line about each interrupted trial, and about an extension of the run.
-        clock: returns seconds since 1970.
 
     Raises:
         ExperimentError: the directory holds something else, is in use, or cannot be written to.
-        OtherRun: its run has another plan, or a file was changed since it began.
+        DirectoryTaken: its run has another plan, or a file was changed since it began.
     """
     run = _defined_by(run, say) if isinstance(run, Plan) else run
     with reported(f"cannot open {directory}"):
@@ -106,8 +91,8 @@ def open_run(
     with reported("cannot read a file of the user"):
         sources = user_files(run.players)
     if not exists:
-        return _create(directory, run, sources, clock)
-    store = Store.open(directory, clock=clock)
+        return _create(directory, run, sources)
+    store = Store.open(directory)
     try:
         if layout.parts_of(directory):
             raise ExperimentError(
@@ -116,7 +101,8 @@ def open_run(
             )
         if changed := changed_files(_recorded_files(directory), sources):
             found = [f"{file} has changed since" for file in changed]
-            raise OtherRun(directory, f"was begun with files of which {layout.SOURCES} has copies", found)
+            begun = f"was begun with files of which {layout.SOURCES} has copies"
+            raise DirectoryTaken(directory, f"{begun} ({'; '.join(found)})")
         run.check(store)
         store.record_event("resume", program())
         for record in store.trials():
@@ -132,9 +118,7 @@ def open_run(
     return store
 
 
-def _create(
-    directory: Path, run: Definition, sources: Mapping[str, UserFile], clock: Callable[[], float]
-) -> Store:
+def _create(directory: Path, run: Definition, sources: Mapping[str, UserFile]) -> Store:
     found = about()
     contents: dict[str, str | bytes] = {**run.files}
     for path, (sha256, content) in sources.items():
@@ -144,7 +128,7 @@ def _create(
             found["files"][path]["copy"] = name
             contents[name] = content
     contents[layout.ABOUT_FILE] = json.dumps(found, indent=2) + "\n"
-    store = Store.create(directory, run.specs, contents, clock=clock)
+    store = Store.create(directory, run.specs, contents)
     store.record_event("start", found["program"])
     return store
 
@@ -164,7 +148,7 @@ def _defined_by(plan: Plan, say: Callable[[str], None]) -> Definition:
         longer = replace(recorded, **counts)
         # Runs of earlier versions have paths relative to the directory in which they began.
         if found := differences(*(absolute(one, Path.cwd()) for one in (longer, plan))):
-            raise OtherRun(store.directory, "is the run of another plan", found)
+            raise DirectoryTaken(store.directory, f"is the run of another plan ({'; '.join(found)})")
         if longer != recorded:
             say(f"{store.directory} is extended: {'; '.join(differences(recorded, longer))}")
             # Before the trials, so that a process killed in between leaves a plan that extends them.
@@ -240,11 +224,6 @@ def go_back(store: Store, trial: Remaining) -> None:
     if trial.dropped:
         store.record_event("rewind", trial.course, trial.trial_id)
     store.rewind(trial.trial_id, trial.after)
-
-
-def finished_at(results: Results) -> float | None:
-    """Return the time at which a run was finished, in seconds since 1970; None if it was not recorded."""
-    return max((event.time for event in results.events() if event.kind == FINISH), default=None)
 
 
 def lengthen(store: Store, specs: Sequence[TrialSpec], say: Callable[[str], None]) -> None:

@@ -7,8 +7,8 @@ Players that a trial names are created here, as objects or as child processes; s
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 from experiment_runner.executors.job import Placement, Report
@@ -39,19 +39,12 @@ def open_experiment(
         ExperimentError: a child process cannot be started, or no player is named for a role that is inside.
     """
     if placement.in_process:
-        return _in_process(spec, placement)
+        players = players_inside(spec, placement)
+        agent, environment = players[Role.AGENT], players[Role.ENVIRONMENT]
+        return local(agent, environment, pace=spec.pace, clock=time.perf_counter)
     from experiment_runner.executors.over_hub import over_hub  # slow to import
 
     return over_hub(spec, placement, send, progress)
-
-
-@contextmanager
-def _in_process(spec: TrialSpec, placement: Placement) -> Iterator[Experiment]:
-    players = players_inside(spec, placement)
-    with local(
-        players[Role.AGENT], players[Role.ENVIRONMENT], pace=spec.pace, clock=time.perf_counter
-    ) as glue:
-        yield glue
 
 
 def players_inside(spec: TrialSpec, placement: Placement) -> dict[Role, Any]:

@@ -141,15 +141,22 @@ class Recorder:
         writer: writes the recording; an episode is in the file once it has ended.
         spec: the trial.
         glue: the connected experiment.
+        meter: reads metrics during the episode.
         questions: messages to send to the agent at each start and after each step.
     """
 
     def __init__(
-        self, writer: TrajectoryWriter, spec: TrialSpec, glue: Experiment, questions: Sequence[str] = ()
+        self,
+        writer: TrajectoryWriter,
+        spec: TrialSpec,
+        glue: Experiment,
+        meter: Meter,
+        questions: Sequence[str] = (),
     ) -> None:
         self._writer = writer
         self._spec = spec
         self._glue = glue
+        self._meter = meter
         self._questions = questions
         self._answers: dict[str, str] = {}
         self._task_spec = ""
@@ -167,12 +174,8 @@ class Recorder:
         self._continued = continued
         self._in_run = False
 
-    def rl_episode(self, max_steps: int, meter: Meter | None = None) -> bool:
+    def rl_episode(self, max_steps: int) -> bool:
         """Run an episode; see `Experiment.rl_episode`.
-
-        Args:
-            max_steps: step limit.
-            meter: reads metrics during the episode; None for none.
 
         Raises:
             PeerLost: a player was lost; the recording marks the episode as void.
@@ -183,7 +186,7 @@ class Recorder:
             self._writer.run(run_of(self._spec, self._task_spec, self._saved() if self._continued else b""))
             self._in_run = True
         try:
-            return self._episode(max_steps, meter)
+            return self._episode(max_steps)
         except PeerLost:
             self._writer.void()
             # The environment is a new one, or has executed a step whose result was not received.
@@ -196,24 +199,21 @@ class Recorder:
         except Unsupported:
             return b""
 
-    def _episode(self, max_steps: int, meter: Meter | None) -> bool:
+    def _episode(self, max_steps: int) -> bool:
         observation, action = self._glue.rl_start()
         self._answers.clear()
         self._ask()
         self._writer.start(observation)
-        if meter is not None:
-            meter.see(observation)
+        self._meter.see(observation)
         late = before = 0  # of actions, without and with the one that is carried out next
         for number, step in enumerate(steps(self._glue, max_steps), 1):
             self._ask()
-            if meter is not None:
-                meter.see(step.observation)
+            self._meter.see(step.observation)
             ended = step.terminal and not step.truncated
             self._writer.step(action, step.reward, step.observation, ended, late=late > before)
             if ended:
                 return True
-            if meter is not None:
-                meter.after(number)
+            self._meter.after(number)
             action = step.action
             before, late = late, self._glue.late_actions() or 0
         self._writer.cutoff()
@@ -240,7 +240,6 @@ class Meter:
 
     Attributes:
         each_step: whether something is read during episodes.
-        missing: why there are no metrics; empty unless the agent turned out to have none.
 
     Raises:
         ExperimentError: the metrics of its checkpoint are damaged.
@@ -264,7 +263,7 @@ class Meter:
         self._parts = dict(self._before)
         self._readings: list[Reading] = []
         self.each_step: bool = self._every > 0 or extras is not None
-        self.missing: str = ""
+        self._unread = ""  # why there are no metrics, if the agent turned out to have none
 
     def begin(self) -> None:
         """Begin an episode; the readings of one that became void are dropped."""
@@ -320,6 +319,13 @@ class Meter:
         self._before = self._parts
         return tuple(self._readings)
 
+    def missing(self) -> Iterator[str]:
+        """Yield why there are no readings, or none of an extra."""
+        if self._unread:
+            yield f"no metrics are recorded: {self._unread}"
+        if self._extras is not None:
+            yield from self._extras.missing()
+
     def save(self) -> bytes:
         """Return the unfinished means after an episode, on which later readings depend."""
         return pack_parts(self._before)
@@ -329,9 +335,9 @@ class Meter:
         if self._plan is None:
             return
         try:
-            metrics = {} if self.missing else self._glue.rl_agent_metrics()
+            metrics = {} if self._unread else self._glue.rl_agent_metrics()
         except Unsupported as error:
-            metrics, self.missing = {}, str(error)
+            metrics, self._unread = {}, str(error)
         if TOTAL_REWARD in metrics:
             raise GlueError(f"the agent has a metric {TOTAL_REWARD!r}, which is the name of the trial's own")
         if self._plan.keep:

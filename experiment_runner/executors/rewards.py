@@ -10,10 +10,11 @@ import math
 from typing import Any
 
 from glue.errors import GlueError
+from glue.roles import Wrapper
 from glue.types import Action, Observation
 
 
-class FiniteRewards:
+class FiniteRewards(Wrapper):
     """Wraps `environment`; raises GlueError with the step if its reward is infinite or NaN.
 
     Args:
@@ -25,9 +26,6 @@ class FiniteRewards:
         self._start = environment.env_start
         self._step = environment.env_step
         self._steps = 0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.__wrapped__, name)
 
     def env_start(self) -> Observation:
         self._steps = 0

@@ -18,7 +18,7 @@ from experiment_runner.executors.workers import LocalExecutor, RayExecutor
 from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Progress
-from experiment_runner.store.layout import LiveSession, LiveSessions
+from experiment_runner.store.layout import LiveSession, put_live_sessions
 from experiment_runner.store.records import OF_PLAYERS, UNSEEDED
 from experiment_runner.store.store import Store
 from glue.closing import Closing
@@ -100,7 +100,8 @@ class RunCollector(Closing):
         self._store = store
         self._config = config
         self._reporter = reporter
-        self._live = LiveSessions(store.directory)
+        self._live: dict[str, LiveSession] = {}
+        put_live_sessions(store.directory, {})  # removes the file of a killed process
         self._specs: dict[str, TrialSpec] = {record.spec.id: record.spec for record in store.trials()}
         self._unstored: list[tuple[str, reports.Recorded]] = []
         self._stored_at = -math.inf
@@ -110,7 +111,7 @@ class RunCollector(Closing):
 
     def close(self) -> None:
         """Remove the information for observers of trials in progress."""
-        self._live.close()
+        put_live_sessions(self._store.directory, {})
 
     def run_here(
         self, trial_ids: Iterable[str], interrupts: Interrupts, recording: TrajectoryWriter | None = None
@@ -130,7 +131,7 @@ class RunCollector(Closing):
             try:
                 run_job(self.start(trial_id), send, interrupts=interrupts, recording=recording)
             finally:
-                self._live.end(trial_id)
+                self._end_live(trial_id)
                 self.commit()
 
     def _take_here(self, trial_id: str, report: reports.Report) -> None:
@@ -166,7 +167,8 @@ class RunCollector(Closing):
                 if report.checkpoint is not None:
                     self.commit()
             case reports.AtHub(hub, session):
-                self._live.begin(trial_id, LiveSession(hub, session))
+                self._live[trial_id] = LiveSession(hub, session)
+                put_live_sessions(self._store.directory, self._live)
             case reports.Playing(episode, steps):
                 self._reporter.playing(self._specs[trial_id], episode, steps)
             case reports.Line(line):
@@ -198,7 +200,7 @@ class RunCollector(Closing):
 
     def lost(self, trial_id: str, why: str) -> int:
         """Store that a trial was lost; return the number of its episodes that are stored."""
-        self._live.end(trial_id)
+        self._end_live(trial_id)
         self._record_event(trial_id, "lost", why)
         return self._store.done(trial_id)
 
@@ -213,12 +215,16 @@ class RunCollector(Closing):
 
     def end(self, trial_id: str, failure: str | None) -> None:
         """Store that a trial is over, and the reason if it has failed."""
-        self._live.end(trial_id)
+        self._end_live(trial_id)
         self.commit()
         if failure is not None:
             self._store.record_failure(trial_id, failure)
             self._say(trial_id, f"Error: {failure}")
         self._reporter.end(self._specs[trial_id])
+
+    def _end_live(self, trial_id: str) -> None:
+        if self._live.pop(trial_id, None) is not None:
+            put_live_sessions(self._store.directory, self._live)
 
     def _record_event(self, trial_id: str, kind: str, text: str) -> None:
         self.commit()

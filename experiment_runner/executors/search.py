@@ -24,7 +24,6 @@ from experiment_runner.executors.job import RunConfig
 from experiment_runner.executors.opening import Definition, go_back, lengthen, open_run, remaining
 from experiment_runner.executors.run import run_trials
 from experiment_runner.plan.file import dump_plan
-from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec, plain, trial_seed
 from experiment_runner.plan.tuning import Range, Space, TunePlan
 from experiment_runner.report.progress import Progress
@@ -155,20 +154,12 @@ def _among_the_better(scores: Sequence[float], number: int) -> bool:
     return better < (len(scores) + 1) // 2
 
 
-def _specs(plan: Plan, sweep: RoleSweep, given: Mapping[str, object], numbers: range) -> list[TrialSpec]:
+def _specs(plan: Plan, sweep: RoleSweep, given: Mapping[str, Value], numbers: range) -> list[TrialSpec]:
     """Return the trials of an agent with these options, in each environment of the plan."""
-    named = RoleSweep(sweep.name, {**sweep.options, **given}, sweep.label)  # type: ignore[dict-item]
-    part = "/".join([sweep.label, *(f"{name}={plain(value)}" for name, value in given.items())])  # type: ignore[arg-type]
-    limits = (plan.episodes, plan.max_steps)
-    specs = []
-    for _, agent in named.expand():
-        for environment in plan.environments:
-            for environment_part, role in environment.expand():
-                for number in numbers:
-                    seed = trial_seed(plan.seed, str(number))
-                    name = TrialId.of(part, environment_part, number)
-                    specs.append(TrialSpec(name, agent, role, *limits, seed, plan.steps, plan.pace))
-    return specs
+    options = {name: value for name, value in sweep.options.items() if name not in given}
+    options |= {name: (value,) for name, value in given.items()}  # each is a part of the ids
+    agents = (RoleSweep(sweep.name, options, sweep.label),)
+    return replace(plan, agents=agents, seeds="number", tune=None).expand(numbers)
 
 
 def _shortened(spec: TrialSpec) -> TrialSpec:

@@ -32,7 +32,6 @@ from experiment_runner.store.records import (
     Checkpoint,
     EndedEpisode,
     EpisodeResult,
-    Reading,
     ask,
     measured,
 )
@@ -93,7 +92,7 @@ def run_job(
             open_experiment(job.spec, job.config.placement, send_alone, lambda: done) as glue,
             watched(glue, lambda: done, send_alone),
         ):
-            run_trial(glue, job, send_alone, interrupts=interrupts, recording=recording)
+            Trial(glue, job, send_alone, interrupts or Interrupts(), recording).run()
     except (StorageError, BrokenPipeError, KeyboardInterrupt):
         raise
     except GlueError as error:
@@ -142,15 +141,8 @@ def watched(
         watcher.join()
 
 
-def run_trial(
-    glue: Experiment,
-    job: Job,
-    send: Callable[[Report], None],
-    *,
-    interrupts: Interrupts | None = None,
-    recording: TrajectoryWriter | None = None,
-) -> None:
-    """Run the episodes of a trial after its start, until its number of episodes or of steps is reached.
+class Trial:
+    """The episodes of a trial after its start, until its number of episodes or of steps is reached.
 
     When a player is lost, the episode is void and is run again. If both players have the capability `save`,
     they are first restored from the newest checkpoint, or initialised, and repeat the episodes since then; so
@@ -163,18 +155,10 @@ def run_trial(
         job: the trial. If it does not accept any reward, an episode whose return is infinite or NaN ends it;
             single rewards are checked by `glue`, see `experiment_runner.executors.players`.
         send: called with each report.
-        interrupts: lets the running episode end, followed by a checkpoint, before Ctrl-C takes effect; None
-            to not defer it.
+        interrupts: lets the running episode end, followed by a checkpoint, before Ctrl-C takes effect.
         recording: receives every step, also of void episodes; None for no recording.
-
-    Raises:
-        GlueError: the trial cannot continue. The results that were reported remain valid.
-        KeyboardInterrupt: as `Interrupts.deferred`.
     """
-    _Trial(glue, job, send, interrupts or Interrupts(), recording).run()
 
-
-class _Trial:
     def __init__(
         self,
         glue: Experiment,
@@ -188,12 +172,12 @@ class _Trial:
         self._send = send
         self._interrupts = interrupts
         config = job.config
-        self._recorder = (
-            Recorder(recording, job.spec, glue, config.questions) if recording is not None else None
-        )
-        self._extras = Extras(config.extras, job.spec.environment_label) if config.extras else None
-        metered = config.metrics is not None or self._extras is not None
-        self._meter = Meter(glue, config.metrics, job.start, self._extras) if metered else None
+        extras = Extras(config.extras, job.spec.environment_label) if config.extras else None
+        self._meter = meter = Meter(glue, config.metrics, job.start, extras)
+        self._recorder = None
+        if recording is not None:
+            self._recorder = Recorder(recording, job.spec, glue, meter, config.questions)
+        self._play = (self._recorder or (meter if meter.each_step else glue)).rl_episode
         self._done = job.start.after
         self._steps = job.start.steps  # in the episodes done
         self._since: list[EpisodeResult] = []  # the episodes run after `start`, oldest first
@@ -202,13 +186,19 @@ class _Trial:
         self._warned: set[str] = set()  # texts of events that are reported once
 
     def run(self) -> None:
+        """Run them.
+
+        Raises:
+            GlueError: the trial cannot continue. The results that were reported remain valid.
+            KeyboardInterrupt: as `Interrupts.deferred`.
+        """
         with self._interrupts.deferred():
             while not self._finished:
                 try:
                     self._replay()
                     self._run_rest()
                 except PeerLost as error:
-                    self._void(error)
+                    self._send(Voided(self._done + 1, str(error)))
             self._clean_up()
 
     @property
@@ -224,44 +214,24 @@ class _Trial:
         kept = True
         while kept and not self._finished:
             try:
-                if self._meter is not None:
-                    self._meter.begin()
+                self._meter.begin()
                 result = self._episode(self._done + 1, self._steps, self._play)
                 answers = ask(self._glue, self._config.questions)
-                played = Recorded(result, None, answers, self._readings(result))
+                played = Recorded(result, None, answers, self._meter.end(result))
             except PeerLost as error:
                 if self._can_save:
                     raise
                 # Players that cannot be restored continue as they are; the hub initialises new ones.
-                self._void(error)
+                self._send(Voided(self._done + 1, str(error)))
                 self._report("replaced", "the lost player's learning is lost, too")
                 continue
+            for why in self._meter.missing():
+                self._warn(UNMETERED, why)
             # Read only once, so that the trial never stops without taking a checkpoint.
             stopping = self._interrupts.requested
             kept = self._keep(played, stopping)
             if stopping:
                 self._interrupts.check()
-
-    def _play(self, max_steps: int) -> bool:
-        """Run an episode that counts: recorded, with metrics, or neither."""
-        meter = self._meter if self._meter is not None and self._meter.each_step else None
-        if self._recorder is not None:
-            return self._recorder.rl_episode(max_steps, meter)
-        return (self._glue if meter is None else meter).rl_episode(max_steps)
-
-    def _readings(self, result: EpisodeResult) -> tuple[Reading, ...]:
-        """Return the readings of an episode's metrics; say once if the agent has none."""
-        if self._meter is None:
-            return ()
-        readings = self._meter.end(result)
-        if self._meter.missing:
-            self._warn(UNMETERED, f"no metrics are recorded: {self._meter.missing}")
-        for why in self._extras.missing() if self._extras is not None else ():
-            self._warn(UNMETERED, why)
-        return readings
-
-    def _void(self, error: PeerLost) -> None:
-        self._send(Voided(self._done + 1, str(error)))
 
     def _clean_up(self) -> None:
         """Clean up; an error is recorded, but does not affect the results."""
@@ -345,8 +315,7 @@ class _Trial:
     def _save(self) -> Checkpoint | None:
         try:
             environment = self._glue.rl_env_save()
-            metrics = b"" if self._meter is None else self._meter.save()
-            return Checkpoint(self._glue.rl_agent_save(), environment, metrics)
+            return Checkpoint(self._glue.rl_agent_save(), environment, self._meter.save())
         except Unsupported as error:
             self._unsaved = str(error)
             return None

@@ -30,7 +30,7 @@ from types import FrameType, TracebackType
 from typing import Any, Final, NamedTuple, NoReturn, Self
 
 from experiment_runner.executors.interrupts import Interrupts, Terminated
-from experiment_runner.executors.job import REPORTS, Ended, Lost, decode, decode_job, encode, unpack, unpacker
+from experiment_runner.executors.job import REPORTS, Ended, Job, Lost, decode, encode, unpack, unpacker
 from experiment_runner.executors.trial import run_job
 from experiment_runner.processes.children import (
     FAREWELL_SECONDS,
@@ -47,6 +47,7 @@ from glue.installed import needing
 
 _MODULE: Final = "experiment_runner.executors.workers"
 _CHUNK: Final = 2**18
+_JOBS: Final = {Job.__name__: Job}
 
 
 class _Worker(NamedTuple):
@@ -175,7 +176,7 @@ def main() -> None:
     """Run the job received over the socket whose descriptor is the first argument."""
 
     def run(value: Any, send: Callable[[object], None]) -> None:
-        job = decode_job(value)
+        job = decode(value, _JOBS)
         with Interrupts(job.config.grace) as interrupts:
             run_job(job, send, interrupts=interrupts)
 
@@ -222,7 +223,7 @@ Work = Callable[[Any, Callable[[object], None]], None]
 
 
 def _trial(value: Any, send: Callable[[object], None]) -> None:
-    run_job(decode_job(value), send)
+    run_job(decode(value, _JOBS), send)
 
 
 class RayExecutor:
@@ -245,7 +246,9 @@ class RayExecutor:
         work: Work = _trial,
         reports: Mapping[str, type[Any]] = REPORTS,
     ) -> None:
-        self._ray = _import_ray()
+        with needing("ray", "running on Ray needs it"):
+            import ray
+        self._ray: Any = ray
         self._work = work
         self._reports = reports
         self._address = address
@@ -346,12 +349,6 @@ def _check_cluster(address: str) -> None:
     except OSError as error:
         reason = error.strerror or str(error)
         raise ExperimentError(f"there is no Ray cluster at {address}: {reason}") from error
-
-
-def _import_ray() -> Any:
-    with needing("ray", "running on Ray needs it"):
-        import ray
-    return ray
 
 
 if __name__ == "__main__":

@@ -227,8 +227,11 @@ class Plan:
         """The pace of every environment."""
         return Pace(self.rate, self.late, self.delay)
 
-    def expand(self) -> list[TrialSpec]:
+    def expand(self, numbers: range | None = None) -> list[TrialSpec]:
         """Return every trial; those of one combination follow each other.
+
+        Args:
+            numbers: of the trials of each combination; None for those from 0.
 
         Raises:
             SettingError: two trials would have the same id, as when a value is listed twice.
@@ -237,7 +240,7 @@ class Plan:
         for (agent_part, agent), (environment_part, environment) in itertools.product(
             _expand_role(self.agents), _expand_role(self.environments)
         ):
-            for number in range(self.trials):
+            for number in range(self.trials) if numbers is None else numbers:
                 name = TrialId.of(agent_part, environment_part, number)
                 seed = trial_seed(self.seed, str(number) if self.seeds == "number" else name)
                 limits = (self.episodes, self.max_steps, seed, self.steps, self.pace)
@@ -302,26 +305,34 @@ def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
     Raises:
         SettingError: a class cannot be found, or an option is unknown to its class or has an invalid value.
     """
-    for sweep in plan.agents if plan.tune else ():
-        space = plan.tune.agents.get(sweep.label, {}) if plan.tune else {}
-        ends = {name: (v.at(0), v.at(1)) if isinstance(v, Range) else v for name, v in space.items()}
-        factory = _class_of(sweep, "agent", find)
-        _check_sweep(RoleSweep(sweep.name, ends, sweep.label), factory, ("tune", "agents", sweep.label))
-    return replace(
-        plan,
-        environments=tuple(
-            _check_sweep(s, _class_of(s, "environment", find), ("environments", s.label))
-            for s in plan.environments
-        ),
-        agents=tuple(_check_sweep(s, _class_of(s, "agent", find), ("agents", s.label)) for s in plan.agents),
-    )
 
+    def checked(role: str, sweep: RoleSweep, *where: str) -> RoleSweep:
+        """Return `sweep` with its options checked; `where` are the keys of its table in the plan."""
+        try:
+            factory = find(role, sweep.name)
+        except ConfigError as error:
+            raise SettingError(str(error), f"{role}s", sweep.label, "class") from error
+        known = parameters(factory)
+        options: dict[str, Value | tuple[Value, ...]] = {}
+        for name, value in sweep.options.items():
+            if name not in known:
+                near = did_you_mean(name, known)
+                raise SettingError(f"{sweep.label} has no option {name}{near}", *where, name)
+            check = known[name].check
+            try:
+                options[name] = tuple(map(check, value)) if isinstance(value, tuple) else check(value)
+            except ConfigError as error:
+                raise SettingError(f"{sweep.label}: {error}", *where, name) from None
+        return replace(sweep, options=options)
 
-def _class_of(sweep: RoleSweep, role: str, find: Callable[[str, str], type]) -> type:
-    try:
-        return find(role, sweep.name)
-    except ConfigError as error:
-        raise SettingError(str(error), f"{role}s", sweep.label, "class") from error
+    spaces = plan.tune.agents if plan.tune else {}
+    for sweep in plan.agents:
+        if space := spaces.get(sweep.label):
+            ends = {name: (v.at(0), v.at(1)) if isinstance(v, Range) else v for name, v in space.items()}
+            checked("agent", RoleSweep(sweep.name, ends, sweep.label), "tune", "agents", sweep.label)
+    environments = (checked("environment", one, "environments", one.label) for one in plan.environments)
+    agents = (checked("agent", one, "agents", one.label) for one in plan.agents)
+    return replace(plan, environments=tuple(environments), agents=tuple(agents))
 
 
 def differences(ours: Plan, theirs: Plan) -> list[str]:
@@ -382,22 +393,6 @@ def _expand_role(sweeps: Sequence[RoleSweep]) -> list[tuple[str, RoleSpec | None
     if not sweeps:
         return [(REMOTE, None)]
     return [(part, spec) for sweep in sweeps for part, spec in sweep.expand()]
-
-
-def _check_sweep(sweep: RoleSweep, factory: type, where: Sequence[str]) -> RoleSweep:
-    """Return `sweep` with its options checked; `where` are the keys of its table in a plan."""
-    known = parameters(factory)
-    options: dict[str, Value | tuple[Value, ...]] = {}
-    for name, value in sweep.options.items():
-        if name not in known:
-            near = did_you_mean(name, known)
-            raise SettingError(f"{sweep.label} has no option {name}{near}", *where, name)
-        check = known[name].check
-        try:
-            options[name] = tuple(map(check, value)) if isinstance(value, tuple) else check(value)
-        except ConfigError as error:
-            raise SettingError(f"{sweep.label}: {error}", *where, name) from None
-    return replace(sweep, options=options)
 
 
 def _default_label(name: str) -> str:

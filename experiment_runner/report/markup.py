@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import FEW_TRIALS
 from experiment_runner.report.overview import FEW, setting_numbers
-from experiment_runner.report.tables import counted, unfinished
+from experiment_runner.report.tables import counted, markdown_table, unfinished
 from glue.console import one_line
 from glue.errors import ExperimentError
 
@@ -85,9 +85,8 @@ def _latex(rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
 
 
 def _markdown(rows: Sequence[Sequence[str]], notes: Sequence[str]) -> str:
-    header, *body = (f"| {' | '.join(row)} |" for row in rows)
-    rule = "| --- " * len(rows[0]) + "|"
-    return "\n".join([header, rule, *body, "", " ".join(notes)])
+    header, *body = rows
+    return f"{markdown_table(header, body, len(header))}\n\n{' '.join(notes)}"
 
 
 LATEX: Final = Markup(

@@ -28,7 +28,7 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -52,43 +52,20 @@ class LiveSession(NamedTuple):
     session: str
 
 
-class LiveSessions:
-    """The file of a run, kept up to date by its only writer. Best effort: only observers need it, so write
-    errors are ignored.
+def put_live_sessions(directory: Path, live: Mapping[str, LiveSession]) -> None:
+    """Write the hubs of the trials of a run in progress, by id, or remove the file if there are none.
 
-    Args:
-        directory: the run directory.
+    Best effort: only observers need it, so errors are ignored. Only the writer of the run may call it.
     """
-
-    def __init__(self, directory: Path) -> None:
-        self._path = directory / HUBS_FILE
-        self._live: dict[str, LiveSession] = {}
-        self._write()  # removes the file of a killed process
-
-    def begin(self, trial_id: str, live: LiveSession) -> None:
-        """Record the hub of a trial."""
-        self._live[trial_id] = live
-        self._write()
-
-    def end(self, trial_id: str) -> None:
-        """Remove the hub of a trial."""
-        if self._live.pop(trial_id, None) is not None:
-            self._write()
-
-    def close(self) -> None:
-        """Remove the file."""
-        self._live.clear()
-        self._write()
-
-    def _write(self) -> None:
-        new = self._path.with_name(f".{HUBS_FILE}.{os.getpid()}")
-        with suppress(OSError):
-            if not self._live:
-                self._path.unlink(missing_ok=True)
-                return
-            with create_regular(new, mode=0o600) as file:
-                file.write(json.dumps(self._live).encode())
-            new.replace(self._path)
+    path = directory / HUBS_FILE
+    new = path.with_name(f".{HUBS_FILE}.{os.getpid()}")
+    with suppress(OSError):
+        if not live:
+            path.unlink(missing_ok=True)
+            return
+        with create_regular(new, mode=0o600) as file:
+            file.write(json.dumps(live).encode())
+        new.replace(path)
 
 
 def live_sessions(directory: Path) -> dict[str, LiveSession]:
@@ -131,15 +108,10 @@ _NO_LOCKS: Final = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP,
 
 
 class DirectoryTaken(ExperimentError):
-    """A directory is in use, or holds something other than the wanted run.
-
-    Attributes:
-        directory: the directory.
-    """
+    """A directory is in use, or holds something other than the wanted run."""
 
     def __init__(self, directory: Path, why: str) -> None:
         super().__init__(f"{directory} {why}")
-        self.directory = directory
 
 
 class NoLocks(ExperimentError):
@@ -273,16 +245,9 @@ _FILES: Final = (
 UNFINISHED: Final = ".unfinished"  # the subfolder in which a new run is written
 
 
-class NewRun(NamedTuple):
-    """A run directory under construction: the folder for its files, and its lock."""
-
-    folder: Path
-    lock: RunLock
-
-
 @contextlib.contextmanager
-def new_run(directory: Path) -> Iterator[NewRun]:
-    """Create a run directory from the files that are put in `NewRun.folder`; the lock stays held.
+def new_run(directory: Path) -> Iterator[tuple[Path, RunLock]]:
+    """Create a run directory from the files that are put in the folder that is yielded; its lock stays held.
 
     On an exception everything that was created is removed, and the lock is released.
 
@@ -305,7 +270,7 @@ def new_run(directory: Path) -> Iterator[NewRun]:
         folder = directory / UNFINISHED
         shutil.rmtree(folder, ignore_errors=True)  # left by a process that was killed
         folder.mkdir()
-        yield NewRun(folder, lock)
+        yield folder, lock
         _publish(folder, directory)
     except BaseException:
         if lock is not None:

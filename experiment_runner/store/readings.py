@@ -7,11 +7,9 @@ long, which is noticeable when an episode takes a fifth of a millisecond.
 
 from __future__ import annotations
 
-import itertools
-import sqlite3
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -128,67 +126,3 @@ def _in_order(parts: Sequence[Metric]) -> Metric:
     joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
     order = np.argsort(joined[1], kind="stable")
     return Metric(*(column[order] for column in joined))
-
-
-def pack_older(connection: sqlite3.Connection) -> None:
-    """Pack the rows of the table `metrics`, each of which is a value, or one of several to be averaged.
-
-    Values that were not yet averaged when a checkpoint was taken become a part of the checkpoint.
-    """
-    keys: dict[str, int] = {}
-    checkpoints = dict(connection.execute("SELECT trial, episode FROM checkpoints"))
-    for (trial,) in connection.execute("SELECT DISTINCT trial FROM metrics").fetchall():
-        rows = connection.execute(
-            """SELECT CAST(name AS TEXT), CAST(number AS INTEGER), CAST(step AS INTEGER),
-                CAST(episode AS INTEGER), CAST(value AS REAL), CAST(every AS INTEGER), averaged FROM metrics
-                WHERE trial = ? AND every >= 1 ORDER BY name, number""",
-            (trial,),
-        ).fetchall()
-        values: dict[tuple[int, int], dict[str, float]] = defaultdict(dict)
-        parts: dict[str, Part] = {}
-        for name, group in itertools.groupby(rows, key=lambda row: row[0]):
-            _average(name, group, checkpoints.get(trial, 0), values, parts)
-        for episode, places in itertools.groupby(sorted(values), key=lambda at: at[0]):
-            block = Block()
-            block.add(episode, (Reading(step, values[episode, step]) for _, step in places))
-            for names, data in block.data().items():
-                if names not in keys:
-                    connection.execute("INSERT INTO metric_names (names) VALUES (?)", (names,))
-                    keys[names] = connection.execute("SELECT last_insert_rowid()").fetchone()[0]
-                connection.execute(
-                    "INSERT INTO readings VALUES (?, ?, ?, ?)", (trial, episode, keys[names], data)
-                )
-        if parts:
-            connection.execute(
-                "UPDATE checkpoints SET metrics = ? WHERE trial = ?", (pack_parts(parts), trial)
-            )
-
-
-def _average(
-    name: str,
-    rows: Iterable[Sequence[Any]],
-    checkpoint: int,
-    values: dict[tuple[int, int], dict[str, float]],
-    parts: dict[str, Part],
-) -> None:
-    """Add a metric's values to `values`, by episode and step, and those that a checkpoint needs to `parts`.
-
-    Args:
-        name: of the metric.
-        rows: name, number, step, episode, value, every and averaged, by number; NULL for NaN.
-        checkpoint: episode after which the newest checkpoint was taken.
-    """
-    group, total, count = -1, 0.0, 0
-    for _, number, step, episode, value, every, averaged in rows:
-        known = float("nan") if value is None else value
-        if averaged:
-            if group != (group := (number - 1) // every):
-                total, count = 0.0, 0
-            total, count = total + known, count + 1
-            known = total / count
-            if episode <= checkpoint:
-                parts[name] = Part(group, total, count)
-        if number % every == 0:
-            values[episode, step][name] = known
-            if averaged and episode <= checkpoint:
-                parts.pop(name, None)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple, Self, TypeVar
 
@@ -327,6 +329,17 @@ class Results(Closing):
 
     def _damaged(self, what: str) -> ExperimentError:
         return ExperimentError(f"cannot read {self.directory}: results.sqlite is damaged: {what}")
+
+
+@contextmanager
+def opened(directories: Iterable[Path]) -> Iterator[list[Results]]:
+    """Open run directories for reading.
+
+    Raises:
+        ExperimentError: there is no run in one of them, or it cannot be read.
+    """
+    with ExitStack() as stack:
+        yield [stack.enter_context(Results.open(directory)) for directory in directories]
 
 
 def _verdict(digest: bytes, problem: str | None, score: float | None) -> records.ReplayVerdict:

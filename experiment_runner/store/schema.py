@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import sqlite3
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.store.readings import pack_older
 from experiment_runner.store.records import MEASURES
 from glue.errors import ExperimentError
 
 _APPLICATION_ID: Final = int.from_bytes(b"GLUE", "big")
-
-Migration = tuple[str | Callable[[sqlite3.Connection], None], ...]
 
 
 def _columns(*measures: str) -> str:
@@ -23,7 +20,7 @@ def _columns(*measures: str) -> str:
 
 
 # Entry n migrates version n to version n + 1. Never change a released entry: add another.
-MIGRATIONS: tuple[Migration, ...] = (
+MIGRATIONS: tuple[tuple[str, ...], ...] = (
     (
         f"PRAGMA application_id = {_APPLICATION_ID}",
         # agent and environment: JSON of name, options and label; NULL when it connects from outside.
@@ -108,19 +105,7 @@ MIGRATIONS: tuple[Migration, ...] = (
         # The budget of a trial in steps; 0 if it has a number of episodes, which is 0 otherwise.
         "ALTER TABLE trials ADD COLUMN steps INTEGER NOT NULL DEFAULT 0",
     ),
-    (
-        # The agent's metrics, a row for each value. SQLite has no NaN, so such a value is NULL.
-        """CREATE TABLE metrics (
-            trial INTEGER NOT NULL REFERENCES trials,
-            episode INTEGER NOT NULL,
-            name TEXT NOT NULL,
-            number INTEGER NOT NULL,
-            step INTEGER NOT NULL,
-            value REAL,
-            every INTEGER NOT NULL CHECK (every >= 1),
-            averaged INTEGER NOT NULL CHECK (averaged IN (0, 1)),
-            PRIMARY KEY (trial, name, number)) WITHOUT ROWID""",
-    ),
+    (),  # of no release
     (
         # Names of metrics that were read at the same time, one on each line.
         "CREATE TABLE metric_names (key INTEGER PRIMARY KEY, names TEXT NOT NULL UNIQUE)",
@@ -133,8 +118,6 @@ MIGRATIONS: tuple[Migration, ...] = (
             PRIMARY KEY (trial, episode, names)) WITHOUT ROWID""",
         # The values of metrics that are not averaged yet.
         "ALTER TABLE checkpoints ADD COLUMN metrics BLOB NOT NULL DEFAULT x''",
-        pack_older,
-        "DROP TABLE metrics",
     ),
     (
         # The pace of the environment; see glue.pace.
@@ -185,17 +168,13 @@ def migrate(connection: sqlite3.Connection, directory: Path) -> None:
     connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
 
 
-def _apply(connection: sqlite3.Connection, migrations: tuple[Migration, ...]) -> None:
-    for statements in migrations:
-        for step in statements:
-            if callable(step):
-                step(connection)
-            else:
-                connection.execute(step)
+def _apply(connection: sqlite3.Connection, migrations: tuple[tuple[str, ...], ...]) -> None:
+    for statement in itertools.chain.from_iterable(migrations):
+        connection.execute(statement)
 
 
 @lru_cache
-def _expected(migrations: tuple[Migration, ...]) -> frozenset[tuple[str, str, str]]:
+def _expected(migrations: tuple[tuple[str, ...], ...]) -> frozenset[tuple[str, str, str]]:
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
         _apply(connection, migrations)
         return _objects(connection)

@@ -17,11 +17,11 @@ import contextlib
 import json
 import os
 import sqlite3
-import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from time import time
 from typing import Final, Self
 
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
@@ -73,13 +73,10 @@ _Record = tuple[str, EpisodeResult, Checkpoint | None, tuple[Answer, ...], tuple
 class Store(Results):
     """Writes and reads a run directory, one process at a time; see the top of this module."""
 
-    def __init__(
-        self, directory: Path, database: Database, lock: RunLock, clock: Callable[[], float]
-    ) -> None:
+    def __init__(self, directory: Path, database: Database, lock: RunLock) -> None:
         super().__init__(directory, database)
         self._connection = database.connection
         self._lock = lock
-        self._clock = clock
         self._flushing: bool | None = None  # not known yet
         self._keys: dict[str, int] = dict(self._query("SELECT id, key FROM trials"))
         self._names: dict[str, int] = dict(self._query("SELECT names, key FROM metric_names"))
@@ -93,7 +90,6 @@ class Store(Results):
         files: Mapping[str, str | bytes],
         *,
         fill: Callable[[Self], None] | None = None,
-        clock: Callable[[], float] = time.time,
     ) -> Self:
         """Create a run directory.
 
@@ -103,25 +99,24 @@ class Store(Results):
             files: the contents of the other files, by name (`PLAN_FILE`, `ABOUT_FILE`), in the directory or a
                 subfolder of it.
             fill: writes the initial records; the run exists only after it has returned.
-            clock: returns seconds since 1970.
 
         Raises:
             ExperimentError: the directory is not empty, is in use, or cannot be written to. It is then left
                 as it was.
         """
         with reported(f"cannot make {directory}"):
-            with new_run(directory) as made:
+            with new_run(directory) as (folder, lock):
                 for name, content in files.items():
-                    write_flushed(made.folder / name, content)
-                with contextlib.closing(open_to_write(made.folder)) as database:
+                    write_flushed(folder / name, content)
+                with contextlib.closing(open_to_write(folder)) as database:
                     with transaction(database.connection):
                         database.connection.executemany(_PUT_TRIAL, map(_trial_row, trials))
                     if fill is not None:
-                        fill(cls(made.folder, database, made.lock, clock))
-            return cls._open(directory, made.lock, clock)
+                        fill(cls(folder, database, lock))
+            return cls._open(directory, lock)
 
     @classmethod
-    def open(cls, directory: Path, *, clock: Callable[[], float] = time.time) -> Self:
+    def open(cls, directory: Path) -> Self:
         """Open an existing run, to continue it.
 
         Raises:
@@ -131,19 +126,15 @@ class Store(Results):
             if not holds_run(directory):
                 raise ExperimentError(f"{directory} holds no run")
             check_links(directory)
-            return cls._open(directory, RunLock(directory), clock)
+            return cls._open(directory, RunLock(directory))
 
     @classmethod
-    def _open(cls, directory: Path, lock: RunLock, clock: Callable[[], float]) -> Self:
-        database = None
-        try:
-            database = open_to_write(directory)
-            return cls(directory, database, lock, clock)
-        except BaseException:
-            if database is not None:
-                database.close()
-            lock.release()
-            raise
+    def _open(cls, directory: Path, lock: RunLock) -> Self:
+        with contextlib.ExitStack() as failed:
+            failed.callback(lock.release)
+            store = cls(directory, failed.enter_context(contextlib.closing(open_to_write(directory))), lock)
+            failed.pop_all()
+        return store
 
     def close(self) -> None:
         """Close the files, and release the lock."""
@@ -229,16 +220,16 @@ class Store(Results):
 
     def record_void(self, trial_id: str, episode: int, why: str) -> None:
         """Commit that an attempt at an episode does not count."""
-        self._execute(_PUT_VOID, self._clock(), self._key(trial_id), episode, why)
+        self._execute(_PUT_VOID, time(), self._key(trial_id), episode, why)
 
     def record_event(self, kind: str, text: str, trial_id: str | None = None) -> None:
         """Commit an event; `kind` is one word, `text` a readable sentence."""
         key = None if trial_id is None else self._key(trial_id)
-        self._execute(_PUT_EVENT, self._clock(), key, kind, text)
+        self._execute(_PUT_EVENT, time(), key, kind, text)
 
     def record_player(self, trial_id: str, role: str, name: str, program: str | None) -> OutsidePlayer:
         """Commit, also as an event, that a player joined a trial from outside; return its record."""
-        player = OutsidePlayer(self._clock(), trial_id, role, name, program)
+        player = OutsidePlayer(time(), trial_id, role, name, program)
         self._execute(_PUT_PLAYER, player.time, self._key(trial_id), role, name, program)
         self.record_event("joined", f"{player} joined", trial_id)
         return player

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,7 +16,7 @@ from experiment_runner.report import svg
 from experiment_runner.report.overview import setting_numbers
 from experiment_runner.report.plots import fitting_window, step_window
 from experiment_runner.store.records import MEASURES
-from experiment_runner.store.results import Results
+from experiment_runner.store.results import opened
 from experiment_runner.store.run_data import finite
 from glue.console import did_you_mean
 from glue.errors import ExperimentError
@@ -60,8 +59,7 @@ def curves(wanted: Wanted) -> dict[str, Any]:
     Raises:
         ExperimentError: a run cannot be read, or two have a trial in common.
     """
-    with ExitStack() as stack:
-        runs = [stack.enter_context(Results.open(path)) for path in wanted.directories]
+    with opened(wanted.directories) as runs:
         names = list(dict.fromkeys(name for run in runs for name in run.metric_names()))
         if wanted.measure not in (known := [*MEASURES, *names]):
             raise ExperimentError(

@@ -141,7 +141,8 @@ class Connection(H11Protocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Make room for the connection, or close it if all others are admitted."""
-        self._address = self._address_of(transport)
+        peer = transport.get_extra_info("peername")
+        self._address = str(peer[0]) if peer else ""
         waiting = [other for other in self.connections if isinstance(other, Connection) and other._timer]
         same = [other for other in waiting if other._address == self._address]
         full = len(self.connections) >= min(self.most, _room())
@@ -164,11 +165,6 @@ class Connection(H11Protocol):
         self._admit()
         self.connections.discard(self)
         self.transport.abort()
-
-    @staticmethod
-    def _address_of(transport: asyncio.Transport) -> str:
-        peer = transport.get_extra_info("peername")
-        return str(peer[0]) if peer else ""
 
 
 def _begun(connection: Connection) -> float:

@@ -31,6 +31,7 @@ from glue.console import printable
 
 _T = TypeVar("_T")
 
+_WAIT_SECONDS: Final = "5"
 _MOST_ANSWERS: Final = 32
 _REST: Final = 20
 """Usual multiple of its computing time for which an answer is kept: computing takes at most 5 % of a core."""
@@ -41,17 +42,30 @@ class Reader:
 
     Args:
         name: of the thread.
+        most: maximum number of calls that wait or are carried out; None for no limit.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, most: int | None = None) -> None:
+        self._most = most
+        self._waiting = 0
         self._calls: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = queue.SimpleQueue()
         threading.Thread(target=self._work, name=name, daemon=True).start()
 
     async def __call__(self, function: Callable[[], _T]) -> _T:
-        """Return the result of a function; if the caller is cancelled before its turn, it is not called."""
+        """Return the result of a function; if the caller is cancelled before its turn, it is not called.
+
+        Raises:
+            HTTPException: too many wait already.
+        """
+        if self._most is not None and self._waiting >= self._most:
+            raise HTTPException(503, "others wait already: try again soon", {"Retry-After": _WAIT_SECONDS})
         future: Future[_T] = Future()
         self._calls.put((future, function))
-        return await asyncio.wrap_future(future)
+        self._waiting += 1
+        try:
+            return await asyncio.wrap_future(future)
+        finally:
+            self._waiting -= 1
 
     def _work(self) -> None:
         while True:

@@ -10,7 +10,6 @@ from glue import __version__
 from glue.console import say
 from glue.errors import ConfigError, GlueError
 from glue.plugins.loading import make, make_agent, names
-from glue.roles import Environment
 from glue.wire.messages import Role
 
 
@@ -34,16 +33,12 @@ def compile_players(players: tuple[str, ...]) -> None:
     environments = [name for name in players or names(Role.ENVIRONMENT) if name not in agents]
     for name in environments:
         for environment in (make(name), make_batch(name, partial(make, name), 1)):
-            _begin(environment)
+            environment.env_init()
+            environment.env_start()
+            environment.env_cleanup()
         say(f"environment {name} is compiled")
     for name in agents:
         say(f"agent {name} {_play(name)}")
-
-
-def _begin(environment: Environment) -> None:
-    environment.env_init()
-    environment.env_start()
-    environment.env_cleanup()
 
 
 def _play(name: str) -> str:

@@ -137,7 +137,9 @@ def serve_until_interrupted(
     from glue.legacy.gateway import Gateway
 
     _allow_many_connections()
-    _give_memory_back()
+    # Large free blocks go back to the system: glibc would learn to keep them, and `--max-memory` is a bound.
+    with suppress(OSError, AttributeError):  # another C library has no mallopt
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BLOCK)
     log = Log(say, level, stamped=True)
     with ExitStack() as stack:
         running = stack.enter_context(Hub(config, log))
@@ -165,9 +167,3 @@ def _allow_many_connections() -> None:
     _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(ValueError, OSError):  # macOS reports an infinite maximum, and refuses it
         resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
-
-
-def _give_memory_back() -> None:
-    """Have glibc return large free blocks, which it would learn to keep: `--max-memory` is a bound."""
-    with suppress(OSError, AttributeError):  # another C library has no mallopt
-        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BLOCK)

@@ -29,6 +29,7 @@ from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.options import Parameter, Value, parameters
 from glue.plugins.loading import construct, find, names, short_name, summaries, without_seed
+from glue.plugins.naming import NamingCommand
 from glue.wire.messages import Role
 
 _LABEL_LETTERS: Final = 100
@@ -67,7 +68,7 @@ def player_command(role: Role, example: str, *extras: Extra) -> click.Group:
     return _PlayerGroup(role, extras, name=command, help=help_text)
 
 
-class _PlayerGroup(click.Group):
+class _PlayerGroup(NamingCommand, click.Group):
     """A group whose subcommands are made from the classes that its arguments name."""
 
     def __init__(self, role: Role, extras: Sequence[Extra], name: str, help: str) -> None:
@@ -95,11 +96,8 @@ class _PlayerGroup(click.Group):
         season = ctx.params.get("season")
         if season is None:
             return super().resolve_command(ctx, args)
-        return (
-            "PROGRAM",
-            click.Command("PROGRAM", callback=reporting(partial(play_programs, season, args))),
-            [],
-        )
+        program = click.Command("PROGRAM", callback=reporting(partial(play_programs, season, args)))
+        return program.name, program, []
 
     def _begin(self, season: Path | None) -> None:
         context = click.get_current_context()
@@ -120,14 +118,8 @@ class _PlayerGroup(click.Group):
         found = [CompletionItem(name) for name in names(self._role) if name.startswith(incomplete)]
         return [*found, *click.Command.shell_complete(self, ctx, incomplete)]
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        given = list(args)
-        try:
-            return super().parse_args(ctx, args)
-        except click.NoSuchOption as error:
-            raise click.UsageError(self._options_come_later(error.option_name, given), ctx) from None
-
-    def _options_come_later(self, option: str, args: Sequence[str]) -> str:
+    def remedy(self, option: str, args: Sequence[str]) -> str:
+        """Return the way to give `option`, which is one of the player."""
         player = next((word for word in args if word in names(self._role)), "NAME")
         rest = [word for word in args if word != player]
         return f"{option} comes after the name of the {self._role}: {self.name} {player} {shlex.join(rest)}"

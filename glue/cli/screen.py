@@ -152,14 +152,29 @@ class TerminalScreen(Closing):
         marks: Marks = (),
     ) -> None:
         """Draw `observation`, and the state of the episode: the last reward, steps so far, their return."""
+
+        def draw() -> None:
+            self._waiting = None
+            status = f"step {step}  reward {reward:g}  return {episode_return:.2f}"
+            marked = {"marks": marks} if marks else {}
+            lines = [*self._draw_observation(observation, self._color, **marked), status, title]
+            height = os.get_terminal_size(self._stream.fileno()).lines or len(lines)  # 0 is unknown
+            # Line by line over the last drawing: clearing the screen for each would flicker. A line that is
+            # too long must not wrap.
+            begin = _HOME if self._shown else _HIDE_CURSOR + _CLEAR_SCREEN + _HOME
+            drawing = f"{_CLEAR_TO_END_OF_LINE}\r\n".join(lines[-height:])
+            self._stream.write(begin + _NO_WRAP + drawing + _CLEAR_BELOW + _WRAP)
+            self._stream.flush()
+            self._shown = True
+
         if not self.live:
             return
         now = self._clock()
         if now < self._next:
-            self._waiting = lambda: self._draw(observation, reward, step, episode_return, title, marks)
+            self._waiting = draw
             return
         self._next = now + self._interval
-        self._draw(observation, reward, step, episode_return, title, marks)
+        draw()
 
     def close(self) -> None:
         """Draw the last observation if it was skipped, and show the cursor. `show` may be called again."""
@@ -170,26 +185,3 @@ class TerminalScreen(Closing):
             self._stream.flush()
         self._shown = False
         self._next = -math.inf
-
-    def _draw(
-        self,
-        observation: Observation,
-        reward: float,
-        step: int,
-        episode_return: float,
-        title: str,
-        marks: Marks,
-    ) -> None:
-        self._waiting = None
-        status = f"step {step}  reward {reward:g}  return {episode_return:.2f}"
-        marked = {"marks": marks} if marks else {}
-        lines = [*self._draw_observation(observation, self._color, **marked), status, title]
-        height = os.get_terminal_size(self._stream.fileno()).lines or len(lines)  # 0 is unknown
-        lines = lines[-height:]
-        # Line by line over the last drawing: clearing the screen for each would flicker. A line that is too
-        # long must not wrap.
-        begin = _HOME if self._shown else _HIDE_CURSOR + _CLEAR_SCREEN + _HOME
-        drawing = f"{_CLEAR_TO_END_OF_LINE}\r\n".join(lines)
-        self._stream.write(begin + _NO_WRAP + drawing + _CLEAR_BELOW + _WRAP)
-        self._stream.flush()
-        self._shown = True

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,8 +19,6 @@ from glue.errors import ConfigError, GlueError, HubUnreachable
 from glue.hub.config import HUB_KEY_VARIABLE, HUB_VARIABLE, KEY_VARIABLE, SESSION_VARIABLE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from glue.client.season import Serve
     from glue.client.target import Target
 
@@ -79,6 +77,7 @@ def play_programs(file: Path, command: Sequence[str]) -> None:
         ConfigError: there is no such program.
         GlueError: as `Season.play`.
     """
+    from glue.client.libzmq import Relay
     from glue.system import clock
 
     if command and shutil.which(command[0]) is None:
@@ -88,8 +87,8 @@ def play_programs(file: Path, command: Sequence[str]) -> None:
         )
 
     def serve(target: Target, on: Callable[[], bool]) -> None:
-        with _relayed(target) as hub:
-            place = {HUB_VARIABLE: hub, SESSION_VARIABLE: target.session}
+        with tempfile.TemporaryDirectory(prefix="glue-") as folder, Relay(f"ipc://{folder}/hub", target):
+            place = {HUB_VARIABLE: f"ipc://{folder}/hub", SESSION_VARIABLE: target.session}
             if command:
                 _run(command, place, on)
                 return
@@ -105,16 +104,6 @@ def _play(file: Path, serve: Serve) -> None:
     from glue.client.season import Season, read_membership
 
     click.echo(Season(read_membership(file)).play(serve, say))
-
-
-@contextmanager
-def _relayed(target: Target) -> Iterator[str]:
-    from glue.client.libzmq import Relay
-
-    with tempfile.TemporaryDirectory(prefix="glue-") as folder:
-        hub = f"ipc://{folder}/hub"
-        with Relay(hub, target):
-            yield hub
 
 
 def _run(command: Sequence[str], place: dict[str, str], on: Callable[[], bool]) -> None:

@@ -11,7 +11,7 @@ import errno
 import logging
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import Any, Final, NoReturn, TypeVar
@@ -94,7 +94,10 @@ def reporting(callback: Callable[..., _T]) -> Callable[..., _T]:
         try:
             return callback(*values, **options)
         except GlueError as error:
-            flags = _flags(click.get_current_context().command, error.settings)
+            given = click.get_current_context().command.params
+            # The common options of players begin with an underscore: a player may have one of that name.
+            known = {(x.name or "").removeprefix("_"): x for x in given if isinstance(x, click.Option)}
+            flags = [known[setting].opts[0] for setting in error.settings if setting in known]
             if flags:
                 error.add_note(f" ({', '.join(flags)})")
             raise
@@ -104,15 +107,6 @@ def reporting(callback: Callable[..., _T]) -> Callable[..., _T]:
             raise click.Abort from interrupt
 
     return call
-
-
-def _flags(command: click.Command, settings: Sequence[str]) -> list[str]:
-    """Return the options of `command` that set `settings`; a setting without an option is left out."""
-    # The common options of players begin with an underscore: a player may have an option of that name.
-    options = {
-        (each.name or "").removeprefix("_"): each for each in command.params if isinstance(each, click.Option)
-    }
-    return [options[setting].opts[0] for setting in settings if setting in options]
 
 
 def prepare(command: click.Command) -> None:
@@ -125,15 +119,10 @@ def prepare(command: click.Command) -> None:
 
 
 class _Printer(logging.Handler):
+    """The printer of the log of a hub's clients."""
+
     def emit(self, record: logging.LogRecord) -> None:
         say(record.getMessage())
-
-
-def _print_log() -> None:
-    """Print the log of a hub's clients."""
-    LOG.addHandler(_Printer())
-    LOG.setLevel(logging.INFO)
-    LOG.propagate = False
 
 
 def run(command: click.Command) -> NoReturn:
@@ -142,7 +131,9 @@ def run(command: click.Command) -> NoReturn:
     Every option can be set by an environment variable, such as GLUE_EXPERIMENT_EPISODES for `--episodes` of
     glue-experiment, unless it declares another one.
     """
-    _print_log()
+    LOG.addHandler(_Printer())
+    LOG.setLevel(logging.INFO)
+    LOG.propagate = False
     prepare(command)
     prefix = (command.name or "").upper().replace("-", "_")
     try:

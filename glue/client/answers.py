@@ -6,16 +6,25 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from glue.client.bodies import READ, write
+from glue.console import show_failure
 from glue.engine.calls import Handler, name_of, role_calls
-from glue.errors import ConfigError, RemoteProtocolError
+from glue.errors import ConfigError, GlueError, RemoteProtocolError, described
 from glue.hub.sessions import ONE_RUN
 from glue.roles import AgentLike, EnvironmentLike, capabilities
 from glue.types import Observation
 from glue.wire.beside import carried, readable
-from glue.wire.messages import BESIDE, CALLS, PACE, Kind, Message, Role
+from glue.wire.codec import clip
+from glue.wire.messages import BESIDE, CALLS, PACE, ErrorCode, Kind, Message, Role
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
+
+
+def failure(call: Message, error: BaseException) -> Message:
+    """Print where the player's own code failed in a call; return the ERROR that says so to the hub."""
+    if not isinstance(error, GlueError):
+        show_failure(error)
+    return Message(Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(described(error))))
 
 
 class ServedPlayer:

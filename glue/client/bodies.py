@@ -11,11 +11,6 @@ from glue.types import AbstractType, Action, Observation, body_size
 from glue.wire.messages import Body
 
 
-def _read_text(body: bytes) -> str:
-    # Original RL-Glue programs send arbitrary bytes, which survive the round trip.
-    return body.decode("utf-8", "surrogateescape")
-
-
 def _read_both(body: bytes) -> tuple[Observation, Action]:
     size = body_size(body)
     return Observation._wrap(body[:size]), Action._wrap(body[size:])
@@ -27,7 +22,8 @@ READ: Final[Mapping[Body, Callable[[bytes], Any]]] = {
     Body.OBSERVATION: Observation._wrap,
     Body.ACTION: Action._wrap,
     Body.OBSERVATION_ACTION: _read_both,
-    Body.TEXT: _read_text,
+    # Original RL-Glue programs send arbitrary bytes, which survive the round trip.
+    Body.TEXT: lambda body: body.decode("utf-8", "surrogateescape"),
     Body.BLOB: bytes,
 }
 

@@ -155,7 +155,7 @@ class RemoteExperiment(Experiment):
         `report` is called with the missing roles, after a short delay and whenever they change.
         """
         reported: frozenset[Role] | None = None
-        while missing := frozenset({Role.AGENT, Role.ENVIRONMENT}) - self._players:
+        while missing := _PLAYERS - self._players:
             message = self._receive()
             if missing != reported and (message is None or message.kind is not Kind.NOTICE):
                 reported = missing
@@ -242,7 +242,10 @@ class RemoteExperiment(Experiment):
                     self._answered = True
                     self._loss_before = None
                     if self._loss is not None and kind in _DEPENDENT:
-                        self._settle_loss(kind)
+                        # A loss that has made no verb fail yet, which only RL_init makes up for.
+                        loss, self._loss = self._loss, None
+                        if kind is not Kind.RL_INIT:
+                            raise PeerLost(loss)
                     return self._without_outcome(message), READ[CALLS[kind].reply.body](message.body)
             elif self._loss_before is not None and message.kind in CALLS:
                 # The previous reply, repeated: losses reported before it were known before this request.
@@ -263,12 +266,6 @@ class RemoteExperiment(Experiment):
         if code in (ErrorCode.PEER_LOST, ErrorCode.PEER_FAILED):
             self._loss = None
         return _ERRORS.get(code, LocalProtocolError)(text)
-
-    def _settle_loss(self, kind: Kind) -> None:
-        """Raise PeerLost for a loss that has made no verb fail yet, unless RL_init has made up for it."""
-        loss, self._loss = self._loss, None
-        if kind is not Kind.RL_INIT:
-            raise PeerLost(loss)
 
 
 _EVENTS: Final = frozenset(Event)

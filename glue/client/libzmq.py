@@ -21,7 +21,7 @@ from glue.keys.certificates import encode as encode_key
 from glue.system import threads
 from glue.system.spinning import Spin
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.messages import MAX_BODY, MAX_HEADER, Message
+from glue.wire.messages import MAX_FRAME, Message
 
 Context = zmq.Context[zmq.Socket[bytes]]
 
@@ -66,7 +66,6 @@ class DealerTransport:
         context: the ZeroMQ context; None to create one.
         url: address of the hub, as `glue.hub.config.check_url` accepts it.
         timeout: seconds after which a connection attempt or unacknowledged data counts as failed.
-        max_frame: maximum size of a frame, in bytes.
         key: the keys by which hub and peer know each other; None for no encryption.
 
     Attributes:
@@ -76,9 +75,7 @@ class DealerTransport:
         ConfigError: libzmq refuses the address.
     """
 
-    def __init__(
-        self, context: Context | None, url: str, timeout: float, max_frame: int, key: OwnKey | None = None
-    ) -> None:
+    def __init__(self, context: Context | None, url: str, timeout: float, key: OwnKey | None = None) -> None:
         self.connected: bool = False
         self._connections = 0
         self._url = url
@@ -94,7 +91,7 @@ class DealerTransport:
             zmq.SNDHWM: 4096,
             # No limit: the hub's heartbeats pile up while a player computes.
             zmq.RCVHWM: 0,
-            zmq.MAXMSGSIZE: max_frame,
+            zmq.MAXMSGSIZE: MAX_FRAME,
             zmq.TCP_MAXRT: milliseconds,
             zmq.CONNECT_TIMEOUT: milliseconds,
             zmq.RECONNECT_IVL: 50,
@@ -124,7 +121,6 @@ class DealerTransport:
 
     def spin_with(self, spin: Spin) -> None:
         """Do nothing: libzmq's own threads wait for messages."""
-        del spin
 
     def send_message(self, message: Message) -> bool:
         """Send a message, like `send`."""
@@ -203,9 +199,7 @@ class DealerTransport:
             event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL
             and value == zmq.Event.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH
         ):
-            if key is None:
-                raise needs_key(self._url)
-            raise needs_no_key(self._url)
+            raise needs_key(self._url) if key is None else needs_no_key(self._url)
         if key is None:
             return
         if event == zmq.Event.HANDSHAKE_FAILED_AUTH:
@@ -248,9 +242,7 @@ class Relay:
             self._context.destroy(0)
             raise ConfigError(f"cannot listen at {url}: {error.strerror}") from None
         try:
-            self._hub = DealerTransport(
-                self._context, target.hub, _RELAY_TIMEOUT, 2 * MAX_BODY + MAX_HEADER, target.key
-            )
+            self._hub = DealerTransport(self._context, target.hub, _RELAY_TIMEOUT, target.key)
         except ConfigError:
             self._context.destroy(0)
             raise

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from glue.client.sockets import Transport, open_transport
 from glue.client.target import OwnKey
@@ -20,14 +20,11 @@ from glue.hub.sessions import INSTANCE_SIZE
 from glue.system import chance, clock, spinning
 from glue.system.spinning import LONG_SPIN_SECONDS, SPIN_SECONDS, Spin, cores_are_free
 from glue.wire.codec import UnknownKind, clip
-from glue.wire.messages import CALLS, MAX_BODY, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
+from glue.wire.messages import CALL_KINDS, MAX_BODY, PLAYERS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
 
-_CALLS: Final = frozenset(CALLS)
-
-_PLAYERS: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
 
 _CODEC: Final = f"Python {platform.python_version()}"
 _HEARTBEAT: Final = 1.0
@@ -75,7 +72,7 @@ class Link:
         if spinning.SEVERAL_CORES:
             if any("batch" in capabilities for _, capabilities in names.values()):
                 self._transport.spin_with(Spin(LONG_SPIN_SECONDS))
-            elif role in _PLAYERS and len(names) == 1:  # calls in several sessions come together
+            elif role in PLAYERS and len(names) == 1:  # calls in several sessions come together
                 self._transport.spin_with(Spin(SPIN_SECONDS, cores_are_free))
         self._greeted = 0  # number of the connection that was greeted last; also the `seq` of that HELLO
         self._welcomed: dict[str, None] = {}  # sessions joined over that connection, in order
@@ -138,7 +135,7 @@ class Link:
             self._end_silence()
         if message[1] not in self._names and message[1]:
             return None  # For another session: only messages about the connection name none.
-        if message[0] in _CALLS:
+        if message[0] in CALL_KINDS:
             return message
         return self._control(message)
 
@@ -193,10 +190,8 @@ class Link:
             self.send(Message(Kind.HELLO, session, self._greeted, scalars))
 
     def _welcome(self, message: Message) -> None:
-        _, _, heartbeat, timeout, max_body, *_ = message.scalars
-        assert isinstance(heartbeat, float)
-        assert isinstance(timeout, float)
-        assert isinstance(max_body, int)
+        scalars: Any = message.scalars
+        _, _, heartbeat, timeout, max_body, *_ = scalars
         self._heartbeat = min(max(heartbeat, 0.01), 60.0)
         self._timeout = max(timeout, self._heartbeat)
         self._max_body = min(max_body, MAX_BODY)

@@ -13,9 +13,9 @@ is starts and steps, as it wants, and misses the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from glue.client.link import Link
 from glue.client.target import Target, find_target
@@ -103,14 +103,8 @@ class Observer(Closing):
         self._session = target.session
         self._number = 0
         self._wanted = 0
-        self._link = Link(
-            Role.OBSERVER,
-            target.hub,
-            {target.session: (name, tuple(sorted(BESIDE)))},
-            wait,
-            None,
-            key=target.key,
-        )
+        names = {target.session: (name, tuple(sorted(BESIDE)))}
+        self._link = Link(Role.OBSERVER, target.hub, names, wait, None, key=target.key)
         try:
             while not self._link.ready(self._session):
                 self._link.receive()
@@ -144,15 +138,15 @@ class Observer(Closing):
             self._number = 0
             self._ask()
             return None
-        read = _READ.get(message.kind)
-        if read is None:
+        seen = _read(message)
+        if seen is None:
             return None
         if message.seq:  # a task spec has no number
             self.missed += max(0, message.seq - self._number - 1)
             self._number = message.seq
-        if message.kind in _MOMENTS:
+        if isinstance(seen, StartSeen | StepSeen):
             self._wanted = max(0, self._wanted - 1)
-        return read(message)
+        return seen
 
     def __iter__(self) -> Iterator[Seen]:
         while True:
@@ -169,30 +163,19 @@ class Observer(Closing):
             self._link.send(Message(Kind.OBSERVE, self._session, 0, (self._wanted,)))
 
 
-def _step(message: Message) -> StepSeen:
+def _read(message: Message) -> Seen | None:
+    scalars: Any = message.scalars
     body = message.body
-    cut = body_size(body)
-    counters: Any = message.scalars
-    episode, num_steps, episode_return, reward, terminal = counters
-    seen = Observation.from_body(body[:cut]), Action.from_body(body[cut:])
-    return StepSeen(episode, num_steps, episode_return, reward, terminal, *seen)
-
-
-def _start(message: Message) -> StartSeen:
-    (episode,) = message.scalars
-    assert isinstance(episode, int)
-    return StartSeen(episode, Observation.from_body(message.body))
-
-
-def _answer(message: Message) -> AnswerSeen:
-    return AnswerSeen(str(message.scalars[0]), message.body.decode(errors="replace"))
-
-
-_MOMENTS: Final = frozenset({Kind.OBSERVED_START, Kind.OBSERVED_STEP})
-
-_READ: Final[dict[Kind, Callable[[Message], Seen]]] = {
-    Kind.OBSERVED_INIT: lambda message: TaskSpecSeen(message.body.decode(errors="replace")),
-    Kind.OBSERVED_START: _start,
-    Kind.OBSERVED_STEP: _step,
-    Kind.OBSERVED_MESSAGE: _answer,
-}
+    match message.kind:
+        case Kind.OBSERVED_INIT:
+            return TaskSpecSeen(body.decode(errors="replace"))
+        case Kind.OBSERVED_START:
+            return StartSeen(scalars[0], Observation.from_body(body))
+        case Kind.OBSERVED_STEP:
+            cut = body_size(body)
+            seen = Observation.from_body(body[:cut]), Action.from_body(body[cut:])
+            episode, num_steps, episode_return, reward, terminal = scalars
+            return StepSeen(episode, num_steps, episode_return, reward, terminal, *seen)
+        case Kind.OBSERVED_MESSAGE:
+            return AnswerSeen(scalars[0], body.decode(errors="replace"))
+    return None

@@ -16,23 +16,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from glue.client.answers import ServedPlayer
+from glue.client.answers import ServedPlayer, failure
 from glue.client.link import Link
 from glue.client.sockets import Transport
 from glue.client.target import Target, find_target
-from glue.console import LOG, reporting, show_failure
-from glue.errors import GlueError, HubClosed, PeerFailed, Refused, described
+from glue.console import LOG, reporting
+from glue.errors import HubClosed, PeerFailed, Refused, described
 from glue.roles import AgentLike, EnvironmentLike
 from glue.system import threads
 from glue.wire.codec import clip
-from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import CALL_KINDS, Event, Kind, Message, Role
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
-
-_CALLS: Final = frozenset(CALLS)
 
 
 def serve_agent(
@@ -108,7 +106,7 @@ def _serve(
     message: Message | None = None
 
     def report(line: str) -> None:
-        if message is not None and message[0] in _CALLS:
+        if message is not None and message[0] in CALL_KINDS:
             scalars = (str(Event.SLOW), str(role), clip(line))
             link.send(Message(Kind.NOTICE, message.session, message.seq, scalars))
 
@@ -121,7 +119,7 @@ def _serve(
                 player = served.get(message.session)
                 if player is None:
                     continue
-                if message[0] in _CALLS:
+                if message[0] in CALL_KINDS:
                     try:
                         answer = player.answer(message)
                         if answer is not None:
@@ -131,8 +129,9 @@ def _serve(
                     except BaseException as error:  # also asyncio.CancelledError and GeneratorExit
                         what = message.kind.name.lower()
                         reason = f"{type(error).__name__} in {what}"
-                        text = _report(link, message, error)
-                        raise PeerFailed(f"{role} {player.name} raised in {what}: {text}") from error
+                        link.send(failure(message, error))
+                        text = f"{role} {player.name} raised in {what}: {described(error)}"
+                        raise PeerFailed(text) from error
                 elif message.kind is Kind.WELCOME:
                     player.welcome(message)
                     if not message.scalars[1]:
@@ -150,12 +149,3 @@ def _serve(
         raise
     finally:
         link.close(reason)
-
-
-def _report(link: Link, call: Message, error: BaseException) -> str:
-    """Print where the user's code failed; send the hub a short text, and return it."""
-    if not isinstance(error, GlueError):
-        show_failure(error)
-    text = described(error)
-    link.send(Message(Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(text))))
-    return text

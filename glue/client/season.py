@@ -34,6 +34,9 @@ from glue.system.web import Answer, NoAnswer, ask, is_address
 PREFIX: Final = "/season/api/"
 """Path of the page below which programs ask."""
 
+STARTED: Final = 409
+"""Status of the answer to a request that was signed for another start of the page."""
+
 SEASON_FILE: Final = "season.toml"
 
 _SECONDS: Final = 60.0
@@ -43,9 +46,6 @@ _UPLOAD_SECONDS: Final = 3600.0
 """Time to send an image, and for the season to check it and load it."""
 
 _MOST_SHOWN: Final = 300
-_MOST_FAILURES: Final = 3
-"""Attempts in a row that may fail for a reason of the season's."""
-
 _MOST_BYTES_OF_FILE: Final = 2**16
 _POLL_SECONDS: Final = 1.0
 _LONGEST_POLL: Final = 10.0
@@ -156,6 +156,7 @@ class Page:
             raise ConfigError(f"{url!r:.120} is not the address of a page, such as https://season.example")
         host = parts.hostname or ""
         self.host: str = f"[{host}]" if ":" in host else host
+        self._start = ""  # as the page calls it; empty if that is not known
 
     def ask(
         self,
@@ -183,14 +184,20 @@ class Page:
         content = io.BytesIO(json.dumps(body or {}).encode()) if not isinstance(body, File) else body
         digest = hashlib.file_digest(content, "sha256").hexdigest()
         headers = {"Content-Length": str(content.seek(0, io.SEEK_END))}
-        content.seek(0)
-        if pair is not None:
-            # A proxy may have taken off the beginning of the path.
-            headers |= signed(pair, entrant, method, f"{PREFIX}{what}", digest, clock.unix())
-        try:
-            answer = ask(method, f"{self.url}{PREFIX}{what}", seconds, content, headers)
-        except NoAnswer as error:
-            raise SeasonBusy(f"the page {self.url} {error}") from None
+        for _ in range(2):
+            content.seek(0)
+            if pair is not None:
+                self._start = self._start or str(self.ask("GET", "start").get("start"))
+                # A proxy may have taken off the beginning of the path.
+                path, now = f"{PREFIX}{what}", clock.unix()
+                headers |= signed(pair, entrant, method, path, digest, self._start, now)
+            try:
+                answer = ask(method, f"{self.url}{PREFIX}{what}", seconds, content, headers)
+            except NoAnswer as error:
+                raise SeasonBusy(f"the page {self.url} {error}") from None
+            if answer.status != STARTED:
+                break
+            self._start = ""
         return self._understood(answer)
 
     def _understood(self, answer: Answer) -> Reply:
@@ -311,7 +318,9 @@ class Season:
         self._page.ask("PUT", "image", file, self._key.pair, self.membership.name, _UPLOAD_SECONDS)
 
     def play(self, serve: Serve | None, say: Callable[[str], None]) -> Progress:
-        """Play an attempt: wait for its turn, play every trial, and return what the page says of it.
+        """Play an attempt: wait for its turn, play every trial, and return what the page says at its end.
+
+        One that fails for a reason of the season's is followed by another, of which the page tells then.
 
         Args:
             serve: plays a trial; None if only an image can.
@@ -321,16 +330,8 @@ class Season:
             SeasonRefused: no attempt is granted now.
             SeasonBusy: the page has not answered for a long time.
         """
-        for _ in range(_MOST_FAILURES):
-            reply = self._follow(self._attempt(0, say), serve, say)
-            if reply.outcome != "ours":
-                break
-            say(f"{reply}; it does not count")
-        return reply
-
-    def _follow(self, reply: Progress, serve: Serve | None, say: Callable[[str], None]) -> Progress:
-        """Play the attempt that a reply is about; return the reply when it is over."""
-        number, told = reply.attempt, ""
+        reply, told = self._attempt(0, say), ""
+        number = reply.attempt
         while reply.state != "over":
             if str(reply) != told:
                 told = str(reply)

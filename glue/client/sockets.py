@@ -10,6 +10,7 @@ system calls receive it and one sends the answer. On the wire there is no differ
 
 from __future__ import annotations
 
+from contextlib import suppress
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final, Protocol
 from urllib.parse import urlsplit
@@ -18,11 +19,11 @@ from glue.client.target import OwnKey, needs_key, needs_no_key, unknown_key, wro
 from glue.errors import ConfigError, Refused, RemoteProtocolError
 from glue.hub.config import check_url
 from glue.system import clock, network
-from glue.system.sockets import limit_silence, probe_when_silent, unix_address
+from glue.system.sockets import limit_silence, never_wait, probe_when_silent, unix_address, wait_for
 from glue.system.spinning import Spin
 from glue.wire import zmtp
 from glue.wire.codec import UnknownKind
-from glue.wire.messages import MAX_BODY, MAX_HEADER, Message
+from glue.wire.messages import MAX_FRAME, Message
 from glue.wire.steps import STEPS
 from glue.wire.stream import Malformed, Stream
 
@@ -55,24 +56,19 @@ class Transport(Protocol):
     @property
     def connected(self) -> bool:
         """Whether there is a connection, as far as `receive_message` has noticed."""
-        ...
 
     @property
     def connections(self) -> int:
         """Number of connections so far, including this one; the hub has to be greeted over each."""
-        ...
 
     def wait_at_most(self, seconds: float) -> None:
         """Set how long `receive_message` waits."""
-        ...
 
     def spin_with(self, spin: Spin) -> None:
         """Let `spin` decide whether to poll for a message before sleeping, if that is possible here."""
-        ...
 
     def send_message(self, message: Message) -> bool:
         """Send a message; return False, having sent nothing, if there is no connection or no room."""
-        ...
 
     def receive_message(self, max_body: int) -> Message | None:
         """Return the next message; None if none arrived in time, or as soon as there is a connection.
@@ -81,11 +77,9 @@ class Transport(Protocol):
             UnknownKind: the message is of an unknown kind.
             RemoteProtocolError: it is malformed, or its body has more than `max_body` bytes.
         """
-        ...
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the last messages at most `linger` seconds (by default one) to leave."""
-        ...
 
 
 class SocketTransport:
@@ -100,7 +94,6 @@ class SocketTransport:
     Attributes:
         connected: whether there is a connection with a complete handshake.
         connections: number of connections so far, including this one.
-        problem: why the latest connection failed, if the other end does not speak ZeroMQ's protocol.
 
     Raises:
         ConfigError: a key is given, and PyNaCl is not installed.
@@ -109,7 +102,6 @@ class SocketTransport:
     def __init__(self, url: str, timeout: float, max_frame: int, key: OwnKey | None = None) -> None:
         self.connected: bool = False
         self.connections: int = 0
-        self.problem: str | None = None
         self._url = url
         self._timeout = timeout
         self._max_frame = max_frame
@@ -199,7 +191,6 @@ class SocketTransport:
                 raise
             except RemoteProtocolError as error:
                 refusal = self._refusal(error)
-                self.problem = str(error)
                 self._fail()
                 if refusal is not None:
                     raise refusal from None
@@ -246,14 +237,12 @@ class SocketTransport:
             # Closing with unread data resets the connection, which discards data that the hub has not read.
             if linger and self.connected:
                 deadline = clock.monotonic() + linger
-                try:
+                with suppress(OSError):
                     connected.shutdown(network.SHUT_WR)
                     while (left := deadline - clock.monotonic()) > 0:
                         connected.settimeout(left)
                         if not connected.recv(_CHUNK):
                             break
-                except OSError:
-                    pass
 
     def _receive_data(self) -> bytes | None:
         if self._joined and not self._send_joined():
@@ -326,7 +315,8 @@ class SocketTransport:
             if self._socket is None:
                 self._socket = _connect(self._url)
             left = max(0.0, self._deadline - now)
-            if not _wait_for(self._socket, self._greeted, min(left, self._wait)):
+            events = network.POLLIN if self._greeted else network.POLLOUT
+            if not wait_for(self._socket, events, min(left, self._wait)):
                 if left <= self._wait:
                     self._fail()
                 return None
@@ -347,7 +337,6 @@ class SocketTransport:
         assert self._socket is not None
         self.connected = True
         self.connections += 1
-        self.problem = None
         self._retry = _RETRY_SECONDS[0]
         self._poller = network.poll()
         self._poller.register(self._socket, network.POLLIN)
@@ -388,12 +377,11 @@ def open_transport(url: str, context: Context | None = None, key: OwnKey | None 
     """
     check_url(url)
     _check_host(url)
-    max_frame = 2 * MAX_BODY + MAX_HEADER
     if context is None and (key is None or find_spec("nacl") is not None):
-        return SocketTransport(url, _TIMEOUT, max_frame, key)
+        return SocketTransport(url, _TIMEOUT, MAX_FRAME, key)
     from glue.client.libzmq import DealerTransport  # libzmq takes long to load, and few programs need it
 
-    return DealerTransport(context, url, _TIMEOUT, max_frame, key)
+    return DealerTransport(context, url, _TIMEOUT, key)
 
 
 def _check_host(url: str) -> None:
@@ -424,9 +412,7 @@ def _connect(url: str) -> network.socket:
         address = network.getaddrinfo(host.strip("[]"), int(port), family, network.SOCK_STREAM)[0][4]
     connecting = network.socket(family)
     try:
-        connecting.setblocking(False)
-        if family != network.AF_UNIX:
-            connecting.setsockopt(network.IPPROTO_TCP, network.TCP_NODELAY, 1)
+        never_wait(connecting)
         connecting.connect(address)
     except BlockingIOError:
         pass  # under way
@@ -434,10 +420,3 @@ def _connect(url: str) -> network.socket:
         connecting.close()
         raise
     return connecting
-
-
-def _wait_for(waiting: network.socket, readable: bool, seconds: float) -> bool:
-    """Return whether a socket becomes readable or, unless `readable`, writable in time."""
-    poller = network.poll()
-    poller.register(waiting, network.POLLIN if readable else network.POLLOUT)
-    return bool(poller.poll(seconds * 1000))

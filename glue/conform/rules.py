@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, Final
+from typing import Any
 
 from glue.errors import GlueError
 from glue.wire.messages import Role
-
-PLAYERS: Final = (Role.AGENT, Role.ENVIRONMENT)
 
 
 class Tier(StrEnum):

@@ -110,14 +110,6 @@ def agent_calls(agent: Agent) -> dict[Kind, Handler]:
             raise _miscounted(agent, "agent_step", action, made)
         return (), action
 
-    def end(scalars: tuple[Any, ...], _: Any) -> Answer:
-        agent.agent_end(scalars[0])
-        return _DONE
-
-    def cleanup(_: tuple[Any, ...], __: Any) -> Answer:
-        agent.agent_cleanup()
-        return _DONE
-
     def message(_: tuple[Any, ...], text: Any) -> Answer:
         return (), _text(agent, "agent_message", agent.agent_message(text))
 
@@ -125,12 +117,12 @@ def agent_calls(agent: Agent) -> dict[Kind, Handler]:
         Kind.AGENT_INIT: init,
         Kind.AGENT_START: start,
         Kind.AGENT_STEP: step,
-        Kind.AGENT_END: end,
-        Kind.AGENT_CLEANUP: cleanup,
+        Kind.AGENT_END: _teller(agent.agent_end),
+        Kind.AGENT_CLEANUP: _teller(agent.agent_cleanup),
         Kind.AGENT_MESSAGE: message,
     }
     if offers(agent, SeedableAgent):
-        calls[Kind.AGENT_SEED] = _seeder(agent.agent_seed)
+        calls[Kind.AGENT_SEED] = _teller(agent.agent_seed)
     if offers(agent, SaveableAgent):
         calls[Kind.AGENT_SAVE] = _saver(agent, "agent_save", agent.agent_save)
         calls[Kind.AGENT_LOAD] = _loader(agent.agent_load)
@@ -175,7 +167,7 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
             _blame_sender(error, action, received, Role.AGENT)
             raise
         try:
-            taken = step_of(environment, answer)
+            taken = step_of(answer)
         except (TypeError, ValueError, OverflowError):
             raise _wrong(environment, "env_step", "Step(reward, observation, terminal)", answer) from None
         observation = taken.observation
@@ -188,10 +180,6 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
             beside.check("env_step", observation)
         return (taken.reward, CUT_OFF if taken.truncated else taken.terminal), observation
 
-    def cleanup(_: tuple[Any, ...], __: Any) -> Answer:
-        environment.env_cleanup()
-        return _DONE
-
     def message(_: tuple[Any, ...], text: Any) -> Answer:
         return (), _text(environment, "env_message", environment.env_message(text))
 
@@ -199,11 +187,11 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
         Kind.ENV_INIT: init,
         Kind.ENV_START: start,
         Kind.ENV_STEP: step,
-        Kind.ENV_CLEANUP: cleanup,
+        Kind.ENV_CLEANUP: _teller(environment.env_cleanup),
         Kind.ENV_MESSAGE: message,
     }
     if offers(environment, SeedableEnvironment):
-        calls[Kind.ENV_SEED] = _seeder(environment.env_seed)
+        calls[Kind.ENV_SEED] = _teller(environment.env_seed)
     if offers(environment, SaveableEnvironment):
         calls[Kind.ENV_SAVE] = _saver(environment, "env_save", environment.env_save)
         calls[Kind.ENV_LOAD] = _loader(environment.env_load)
@@ -237,12 +225,14 @@ def skippable(kind: Kind) -> bool:
     return CALLS[kind].capability == "seed"
 
 
-def _seeder(method: Callable[[int], None]) -> Handler:
-    def seed(scalars: tuple[Any, ...], _: Any) -> Answer:
-        method(scalars[0])
+def _teller(method: Callable[..., None]) -> Handler:
+    """Return the handler of a call that has an answer without contents."""
+
+    def tell(scalars: tuple[Any, ...], _: Any) -> Answer:
+        method(*scalars)
         return _DONE
 
-    return seed
+    return tell
 
 
 def _told(method: Callable[[float, float], None], step: Handler) -> Handler:

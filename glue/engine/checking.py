@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from glue.errors import ConfigError, PeerFailed, TaskSpecError
-from glue.roles import BatchEnvironment, offers
+from glue.roles import BatchEnvironment, Wrapper, offers
 from glue.taskspec import Space, legal_values, mask_sizes, parse_task_spec
 from glue.types import Action, Observation, step_of
 
 
-class CheckedActions:
+class CheckedActions(Wrapper):
     """`environment`, which receives no action outside its task spec or the mask of its last observation.
 
     Args:
@@ -31,9 +31,6 @@ class CheckedActions:
         self._actions: Space | None = None
         self._shown = Observation()
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.__wrapped__, name)
-
     def env_init(self) -> str:
         task_spec: str = self.__wrapped__.env_init()
         try:
@@ -50,7 +47,7 @@ class CheckedActions:
         if self._actions is not None and (why := self._actions.check(action) or self._masked(action)):
             raise PeerFailed(f"the agent's {action!r:.80} is illegal: {why}")
         answer = self.__wrapped__.env_step(action)
-        self._shown = step_of(self.__wrapped__, answer).observation
+        self._shown = step_of(answer).observation
         return answer
 
     def _masked(self, action: Action) -> str:

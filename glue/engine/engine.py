@@ -287,18 +287,6 @@ class Engine:
         self._started = False
         return (False,), None
 
-    def _return(self, _: tuple[Any, ...], __: Any) -> Verb:
-        return (self.total_reward,), None
-        yield
-
-    def _num_steps(self, _: tuple[Any, ...], __: Any) -> Verb:
-        return (self.num_steps,), None
-        yield
-
-    def _num_episodes(self, _: tuple[Any, ...], __: Any) -> Verb:
-        return (self.num_episodes,), None
-        yield
-
     def _cleanup(self, _: tuple[Any, ...], __: Any) -> Verb:
         self._started = False
         yield Instruction(Kind.ENV_CLEANUP)
@@ -329,6 +317,14 @@ class Engine:
         return scalars, observation
 
     @staticmethod
+    def _query(name: str) -> Callable[[Engine, tuple[Any, ...], Any], Verb]:
+        def verb(engine: Engine, _: tuple[Any, ...], __: Any) -> Verb:
+            return (getattr(engine, name),), None
+            yield
+
+        return verb
+
+    @staticmethod
     def _forward(kind: Kind) -> Callable[[Engine, tuple[Any, ...], Any], Verb]:
         def verb(_: Engine, scalars: tuple[Any, ...], body: Any) -> Verb:
             return (yield _instruction(Instruction, (kind, scalars, body)))
@@ -341,9 +337,9 @@ _VERBS: Final[Mapping[Kind, Callable[[Engine, tuple[Any, ...], Any], Verb]]] = {
     Kind.RL_START: Engine._start,
     Kind.RL_STEP: Engine._step,
     Kind.RL_EPISODE: Engine._episode,
-    Kind.RL_RETURN: Engine._return,
-    Kind.RL_NUM_STEPS: Engine._num_steps,
-    Kind.RL_NUM_EPISODES: Engine._num_episodes,
+    Kind.RL_RETURN: Engine._query("total_reward"),
+    Kind.RL_NUM_STEPS: Engine._query("num_steps"),
+    Kind.RL_NUM_EPISODES: Engine._query("num_episodes"),
     Kind.RL_AGENT_MESSAGE: Engine._forward(Kind.AGENT_MESSAGE),
     Kind.RL_ENV_MESSAGE: Engine._forward(Kind.ENV_MESSAGE),
     Kind.RL_CLEANUP: Engine._cleanup,

@@ -66,7 +66,7 @@ class Experiment(Closing):
         """
         if seed is not None:
             seed = _whole(seed, 63, "a seed")
-        return _text(self._call(Kind.RL_INIT, (seed,))[1])
+        return _known(self._call(Kind.RL_INIT, (seed,))[1], str)
 
     def rl_start(self) -> Start:
         """Begin an episode; return the first observation and the agent's first action."""
@@ -117,11 +117,11 @@ class Experiment(Closing):
 
     def rl_agent_message(self, message: str) -> str:
         """Send a text to the agent and return its answer."""
-        return _text(self._call(Kind.RL_AGENT_MESSAGE, (), _given(message, str))[1])
+        return _known(self._call(Kind.RL_AGENT_MESSAGE, (), _given(message, str))[1], str)
 
     def rl_env_message(self, message: str) -> str:
         """Send a text to the environment and return its answer."""
-        return _text(self._call(Kind.RL_ENV_MESSAGE, (), _given(message, str))[1])
+        return _known(self._call(Kind.RL_ENV_MESSAGE, (), _given(message, str))[1], str)
 
     def rl_cleanup(self) -> None:
         """Clean up the environment, then the agent; counters stay."""
@@ -129,7 +129,7 @@ class Experiment(Closing):
 
     def rl_env_start(self) -> Observation:
         """Half of RL_start: begin an episode in the environment only."""
-        return _observation(self._call(Kind.RL_ENV_START)[1])
+        return _known(self._call(Kind.RL_ENV_START)[1], Observation)
 
     def rl_env_step(self, action: Action) -> Step:
         """Half of RL_step: execute `action` in the environment only; the agent takes no part."""
@@ -138,11 +138,12 @@ class Experiment(Closing):
 
     def rl_agent_start(self, observation: Observation) -> Action:
         """Half of RL_start: begin an episode with the agent only."""
-        return _action(self._call(Kind.RL_AGENT_START, (), _given(observation, Observation))[1])
+        return _known(self._call(Kind.RL_AGENT_START, (), _given(observation, Observation))[1], Action)
 
     def rl_agent_step(self, reward: float, observation: Observation) -> Action:
         """Half of RL_step: give the agent the outcome of its action; return its next action."""
-        return _action(self._call(Kind.RL_AGENT_STEP, (float(reward),), _given(observation, Observation))[1])
+        scalars, body = (float(reward),), _given(observation, Observation)
+        return _known(self._call(Kind.RL_AGENT_STEP, scalars, body)[1], Action)
 
     def rl_agent_end(self, reward: float) -> None:
         """Half of RL_step: end the episode for the agent, with its last reward."""
@@ -166,7 +167,7 @@ class Experiment(Closing):
 
     def rl_agent_metrics(self) -> dict[str, float]:
         """Return the agent's metrics by name (capability `metrics`); callable during an episode, too."""
-        return unpack_metrics(_observation(self._call(Kind.RL_AGENT_METRICS)[1]))
+        return unpack_metrics(self._call(Kind.RL_AGENT_METRICS)[1])
 
 
 def steps(glue: Experiment, max_steps: int) -> Iterator[Step]:
@@ -197,16 +198,6 @@ def _given(value: _T, kind: type[_T]) -> _T:
     return value
 
 
-def _text(body: Any) -> str:
-    assert isinstance(body, str)
-    return body
-
-
-def _observation(body: Any) -> Observation:
-    assert isinstance(body, Observation)
-    return body
-
-
-def _action(body: Any) -> Action:
-    assert isinstance(body, Action)
+def _known(body: Any, kind: type[_T]) -> _T:
+    assert isinstance(body, kind)
     return body

@@ -29,10 +29,6 @@ from glue.wire.messages import BESIDE, CALLS, MASK, Kind, Role, Value
 _WAITING: Final = Pace()
 
 
-def _no_time() -> float:
-    return 0.0
-
-
 def local(
     agent: AgentLike,
     environment: EnvironmentLike,
@@ -55,7 +51,7 @@ def local(
     """
     if pace.rate and clock is None:
         raise LocalProtocolError("a rate needs a clock: local(..., clock=time.monotonic)")
-    return LocalExperiment(agent, environment, pace, clock or _no_time)
+    return LocalExperiment(agent, environment, pace, clock)
 
 
 class LocalExperiment(Experiment):
@@ -66,7 +62,7 @@ class LocalExperiment(Experiment):
         agent: AgentLike,
         environment: EnvironmentLike,
         pace: Pace = _WAITING,
-        clock: Callable[[], float] = _no_time,
+        clock: Callable[[], float] | None = None,
     ) -> None:
         self._engine = Engine(Action())
         calls = role_calls(Role.AGENT, agent)
@@ -75,7 +71,7 @@ class LocalExperiment(Experiment):
         if BESIDE.intersection(capabilities(environment)) - read:  # not all that may come is for the agent
             for kind in (Kind.AGENT_START, Kind.AGENT_STEP):
                 calls[kind] = self._trimming(calls[kind])
-        self._paced = _PacedAgent(calls, pace, clock) if pace else None
+        self._paced = _PacedAgent(calls, pace, clock or (lambda: 0.0)) if pace else None
         if self._paced is not None:
             calls = {kind: partial(self._paced.call, kind) for kind in calls}
         self._handlers = calls | role_calls(Role.ENVIRONMENT, environment)

@@ -51,9 +51,6 @@ def unpack_metrics(body: Observation) -> dict[str, float]:
 
 @lru_cache  # an agent's names hardly ever change
 def _check_names(names: tuple[object, ...]) -> None:
-    if not len(names) == len(set(names)) <= MAX_METRICS or not all(map(_is_name, names)):
+    plain = (isinstance(n, str) and 0 < len(n) <= MAX_METRIC_NAME and n.isprintable() for n in names)
+    if not len(names) == len(set(names)) <= MAX_METRICS or not all(plain):
         raise ValueError(f"metrics are at most {MAX_METRICS} numbers with names in one line")
-
-
-def _is_name(name: object) -> bool:
-    return isinstance(name, str) and 0 < len(name) <= MAX_METRIC_NAME and name.isprintable()

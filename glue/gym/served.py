@@ -185,7 +185,10 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
         ConfigError: there is no such environment.
     """
     try:
-        spec = gymnasium.spec(_registered(name))
+        module, _, identifier = name.rpartition(":")
+        if module:
+            import_user_module(module)  # it registers the environment
+        spec = gymnasium.spec(identifier)
         creator = (
             load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
         )
@@ -213,11 +216,9 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
         names = [name.strip() for name in infos.split(",") if name.strip()]
         GymnasiumEnvironment.__init__(self, make, masks=action_mask, infos=names)
 
-    options = keywords(creator, "keyword of the Gymnasium environment", spec.kwargs)
-    taken = {"render_mode", *(ours.name for ours in _OURS)}
-    own = [keyword for keyword in options if keyword.name not in taken]
+    known = keywords(creator, "keyword of the Gymnasium environment", _OURS, "render_mode", spec.kwargs)
     members: dict[str, Any] = {
-        "__init__": with_options(__init__, [*own, *_OURS]),
+        "__init__": with_options(__init__, known),
         # Repeatability without a seed is up to its author.
         "__module__": getattr(creator, "__module__", __name__),
     }
@@ -243,14 +244,6 @@ def _reads_seed(creator: Any) -> bool:
     loaded = [one.argval for one in dis.get_instructions(code) if "LOAD_FAST" in one.opname]
     # One instruction of Python 3.13 loads two variables.
     return "seed" in code.co_cellvars or any("seed" in ((x,) if isinstance(x, str) else x) for x in loaded)
-
-
-def _registered(name: str) -> str:
-    """Import the module that a name begins with, also from the working directory; return the rest."""
-    module, _, identifier = name.rpartition(":")
-    if module:
-        import_user_module(module)
-    return identifier
 
 
 _OF_GAMES: Final = [
@@ -279,8 +272,8 @@ def game_class(name: str) -> type[GymnasiumEnvironment]:
     make = getattr(module, "env", None)
     if not callable(make):
         raise ConfigError(f"{module.__name__} has no function env, which makes a game of PettingZoo's")
-    taken = {"render_mode", *(ours.name for ours in _OF_GAMES)}
-    options = keywords(getattr(module, "raw_env", make), "keyword of the PettingZoo game")
+    creator = getattr(module, "raw_env", make)
+    options = keywords(creator, "keyword of the PettingZoo game", _OF_GAMES, "render_mode")
 
     def __init__(
         self: GymnasiumEnvironment, *, opponent: str = "random", player: int = 0, **given: Any
@@ -295,7 +288,7 @@ def game_class(name: str) -> type[GymnasiumEnvironment]:
         GymnasiumEnvironment.__init__(self, side, masks=True)
 
     members: dict[str, Any] = {
-        "__init__": with_options(__init__, [*(one for one in options if one.name not in taken), *_OF_GAMES]),
+        "__init__": with_options(__init__, options),
         "__module__": __name__,
         "__doc__": f"PettingZoo's {name} for one player, served to RL-Glue agents (docs/masks.md).",
     }

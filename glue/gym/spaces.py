@@ -24,7 +24,7 @@ Dict, Tuple     a dict or tuple of masks; None for a Box of floats or of uint8
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import islice
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -36,6 +36,7 @@ from gymnasium import spaces
 from glue.errors import ConfigError, SimulatorError
 from glue.taskspec import RL_GLUE_3, Range, Ranges, Space, TaskSpec, legal_values, mask_sizes
 from glue.taskspec.parser import MASKS
+from glue.taskspec.space import equal_runs
 from glue.types import AbstractType, BoolArray, Observation
 
 SpaceLike: TypeAlias = "spaces.Space[Any]"
@@ -79,12 +80,8 @@ def leaves_of(space: SpaceLike, depth: int = 0) -> Iterator[Leaf]:
     elif isinstance(space, spaces.Tuple):
         for part in space.spaces:
             yield from leaves_of(part, depth + 1)
-    elif isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
-        leaf = Leaf(space, INT, tuple(space.shape), np.dtype(space.dtype))
-        _check_ints(leaf)
-        yield leaf
-    elif isinstance(space, spaces.Box):
-        yield _box_leaf(space)
+    elif isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary | spaces.Box):
+        yield _leaf(space)
     else:
         raise ConfigError(
             f"a task spec cannot describe {type(space).__name__}: only Discrete, MultiDiscrete, MultiBinary, "
@@ -104,23 +101,23 @@ def ends_of(leaf: Leaf) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     return space.low.reshape(-1), space.high.reshape(-1)
 
 
-def _box_leaf(space: spaces.Box) -> Leaf:
+def _leaf(space: SpaceLike) -> Leaf:
     dtype = np.dtype(space.dtype)
-    if dtype == np.uint8:
-        return Leaf(space, CHAR, space.shape, dtype)
-    if dtype.name in FLOATS:
-        return Leaf(space, DOUBLE, space.shape, dtype)
-    if dtype.kind in "iu":
-        leaf = Leaf(space, INT, space.shape, dtype)
-        _check_ints(leaf)
-        return leaf
-    raise ConfigError(f"a task spec cannot describe a Box of {dtype}: only of integers and floats of 64 bits")
-
-
-def _check_ints(leaf: Leaf) -> None:
+    if dtype == np.uint8 and isinstance(space, spaces.Box):
+        run = CHAR
+    elif dtype.name in FLOATS:
+        run = DOUBLE
+    elif dtype.kind in "iu":
+        run = INT
+    else:
+        raise ConfigError(
+            f"a task spec cannot describe a Box of {dtype}: only of integers and floats of 64 bits"
+        )
+    leaf = Leaf(space, run, tuple(space.shape), dtype)
     low, high = ends_of(leaf)
-    if leaf.size and (low.min() < INT32.min or high.max() > INT32.max):
-        raise ConfigError(f"the ints of RL-Glue have 32 bits; {leaf.space!r:.200} needs more")
+    if run == INT and leaf.size and (low.min() < INT32.min or high.max() > INT32.max):
+        raise ConfigError(f"the ints of RL-Glue have 32 bits; {space!r:.200} needs more")
+    return leaf
 
 
 _TYPES: Final = (np.int32, np.float64, np.uint8)
@@ -148,7 +145,8 @@ class Codec:
             if leaf.run == CHAR:
                 chars += leaf.size
             else:
-                runs[leaf.run] += _runs(leaf)
+                ends = equal_runs(*ends_of(leaf))
+                runs[leaf.run] += [(count, Range(low, high)) for count, low, high in ends]
         return Space(Ranges(tuple(runs[INT])), Ranges(tuple(runs[DOUBLE])), chars)
 
     def pack(self, value: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64], bytes]:
@@ -177,9 +175,14 @@ class Codec:
         Raises:
             SimulatorError: the counts are wrong, a number is NaN, or a value is not in the space.
         """
-        wrong = self.ranges_wrong(value)
-        if wrong:
-            raise SimulatorError(wrong)
+        counts = [sum(leaf.size for leaf in self.leaves if leaf.run == run) for run in (INT, DOUBLE, CHAR)]
+        if value.counts != tuple(counts):
+            raise SimulatorError(
+                f"expected {counts[INT]} ints, {counts[DOUBLE]} doubles and {counts[CHAR]} chars for "
+                f"{self.space!r:.200}; received {value!r:.200}"
+            )
+        if np.isnan(value.doubles).any():
+            raise SimulatorError(f"a number is NaN: {value!r:.200}")
         runs: tuple[npt.NDArray[Any], ...] = (value.ints, value.doubles, np.frombuffer(value.chars, np.uint8))
         at = [0, 0, 0]
         found = []
@@ -197,16 +200,6 @@ class Codec:
                 raise SimulatorError(f"{part!r:.80} is not in {leaf.space!r:.200}")
             found.append(part)
         return build(self.space, iter(found))
-
-    def ranges_wrong(self, value: AbstractType) -> str:
-        """Return why the counts of `value` are not those of the space, or ""."""
-        counts = [sum(leaf.size for leaf in self.leaves if leaf.run == run) for run in (INT, DOUBLE, CHAR)]
-        if value.counts == tuple(counts):
-            return "" if not np.isnan(value.doubles).any() else f"a number is NaN: {value!r:.200}"
-        return (
-            f"expected {counts[INT]} ints, {counts[DOUBLE]} doubles and {counts[CHAR]} chars for "
-            f"{self.space!r:.200}; received {value!r:.200}"
-        )
 
 
 def _numbers(leaf: Leaf, part: Any) -> npt.NDArray[Any]:
@@ -239,16 +232,6 @@ def _numbers(leaf: Leaf, part: Any) -> npt.NDArray[Any]:
 
 def _long_axes(shape: tuple[int, ...]) -> list[int]:
     return [length for length in shape if length != 1]
-
-
-def _runs(leaf: Leaf) -> Iterator[tuple[int, Range]]:
-    """Yield the ranges of a leaf's numbers as runs of equal neighbours."""
-    low, high = ends_of(leaf)
-    if not leaf.size:
-        return
-    changes = np.flatnonzero((low[1:] != low[:-1]) | (high[1:] != high[:-1])) + 1
-    for start, stop in zip([0, *changes.tolist()], [*changes.tolist(), leaf.size], strict=True):
-        yield stop - start, Range(low[start].item(), high[start].item())
 
 
 def parts_of(space: SpaceLike, value: Any) -> Iterator[Any]:
@@ -462,14 +445,27 @@ def _read(layout: Any, space: Space) -> SpaceLike:
 
 def _read_part(layout: Any, reader: _Reader) -> SpaceLike:
     ((kind, described),) = layout.items()
-    if kind == "Dict":
-        return spaces.Dict({key: _read_part(described[key], reader) for key in sorted(described)})
-    if kind == "Tuple":
-        return spaces.Tuple([_read_part(part, reader) for part in described])
-    read = _KINDS.get(kind)
-    if read is None:
-        raise ValueError(f"there is no kind {kind!r:.40}")
-    return read(described, reader)
+    match kind:
+        case "Dict":
+            return spaces.Dict({key: _read_part(described[key], reader) for key in sorted(described)})
+        case "Tuple":
+            return spaces.Tuple([_read_part(part, reader) for part in described])
+        case "Discrete":
+            low, high = reader.take(INT, ()).astype(np.int64).tolist()
+            dtype = _integers(described)
+            # Gymnasium 1.0 has no other dtype.
+            other: dict[str, Any] = {} if dtype == np.int64 else {"dtype": dtype}
+            return spaces.Discrete(high - low + 1, start=low, **other)
+        case "MultiDiscrete":
+            low, high = reader.take(INT, _shape(described)).astype(np.int64)
+            return spaces.MultiDiscrete(high - low + 1, dtype=_integers(described[1]), start=low)
+        case "MultiBinary":
+            shape = _shape(described)
+            reader.take(INT, shape)
+            return spaces.MultiBinary(shape if len(shape) != 1 else shape[0])
+        case "Box":
+            return _read_box(described, reader)
+    raise ValueError(f"there is no kind {kind!r:.40}")
 
 
 def _shape(described: Any) -> tuple[int, ...]:
@@ -479,37 +475,14 @@ def _shape(described: Any) -> tuple[int, ...]:
     return shape
 
 
-def _read_discrete(described: Any, reader: _Reader) -> SpaceLike:
-    low, high = reader.take(INT, ()).astype(np.int64).tolist()
-    dtype = _integers(described)
-    # Gymnasium 1.0 has no other dtype.
-    other: dict[str, Any] = {} if dtype == np.int64 else {"dtype": dtype}
-    return spaces.Discrete(high - low + 1, start=low, **other)
-
-
-def _read_multi_discrete(described: Any, reader: _Reader) -> SpaceLike:
-    low, high = reader.take(INT, _shape(described)).astype(np.int64)
-    return spaces.MultiDiscrete(high - low + 1, dtype=_integers(described[1]), start=low)
-
-
-def _read_multi_binary(described: Any, reader: _Reader) -> SpaceLike:
-    shape = _shape(described)
-    reader.take(INT, shape)
-    return spaces.MultiBinary(shape if len(shape) != 1 else shape[0])
-
-
 def _read_box(described: Any, reader: _Reader) -> SpaceLike:
     shape, name = _shape(described), described[1]
     if name == "uint8":
         reader.take(CHAR, shape)
         low, high = described[2:] or (0, 255)
         return spaces.Box(*(_bytes(bound, shape) for bound in (low, high)), shape, np.uint8)
-    if name in FLOATS:
-        dtype = np.dtype(name)
-        low, high = reader.take(DOUBLE, shape)
-        return spaces.Box(low.astype(dtype), high.astype(dtype), shape, dtype.type)
-    dtype = _integers(name)
-    low, high = reader.take(INT, shape)
+    run, dtype = (DOUBLE, np.dtype(name)) if name in FLOATS else (INT, _integers(name))
+    low, high = reader.take(run, shape)
     return spaces.Box(low.astype(dtype), high.astype(dtype), shape, dtype.type)
 
 
@@ -524,14 +497,6 @@ def _integers(name: Any) -> np.dtype[Any]:
     if dtype.kind not in "iu":
         raise ValueError(f"{name!r:.40} is not a type of integers")
     return dtype
-
-
-_KINDS: Final[dict[str, Callable[[Any, _Reader], SpaceLike]]] = {
-    "Discrete": _read_discrete,
-    "MultiDiscrete": _read_multi_discrete,
-    "MultiBinary": _read_multi_binary,
-    "Box": _read_box,
-}
 
 
 def _plain(space: Space) -> SpaceLike:

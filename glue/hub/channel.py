@@ -15,11 +15,9 @@ class Channel(Protocol):
 
     def deliver(self, message: Message) -> bool:
         """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
-        ...
 
     def admits(self, role: Role, session: str) -> bool:
         """Return whether a peer of this channel may join `session` as `role`; see `glue.hub.config.Bind`."""
-        ...
 
 
 class Holder(Protocol):
@@ -28,11 +26,9 @@ class Holder(Protocol):
     @property
     def in_session(self) -> bool:
         """Whether it takes part in a session; holders that do not, and are not small, are evicted first."""
-        ...
 
     def evict(self, why: str) -> None:
         """Release all memory used for it, and send its peers the reason."""
-        ...
 
 
 class Memory:
@@ -75,14 +71,9 @@ class Memory:
     def enforce(self) -> None:
         """Evict the largest holders until there is room; callers must not use them again."""
         while self.exceeded and self.accounts:
-            largest = max(
-                self.accounts,
-                key=lambda known: (
-                    self.accounts[known] > _SMALL and not known.in_session,
-                    self.accounts[known],
-                ),
+            largest, held = max(
+                self.accounts.items(), key=lambda one: (one[1] > _SMALL and not one[0].in_session, one[1])
             )
-            held = self.accounts[largest]
             self.account(largest, 0)
             largest.evict(
                 f"it used {held / 2**20:.0f} MiB, more than any other, when the hub reached its limit of "

@@ -174,11 +174,14 @@ class TimeLimits:
     total_seconds: float = 600.0
 
     def __post_init__(self) -> None:
-        for name in ("step_seconds", "bank_seconds", "start_seconds", "total_seconds"):
-            if not 0 <= getattr(self, name) <= _MAX_TIMEOUT:
-                raise ConfigError(
-                    f"{name} must be from 0 to {_MAX_TIMEOUT:g} seconds, not {getattr(self, name)}"
-                )
+        _check_seconds(self, "step_seconds", "bank_seconds", "start_seconds", "total_seconds")
+
+
+def _check_seconds(settings: object, *names: str) -> None:
+    for name in names:
+        seconds = getattr(settings, name)
+        if not 0 <= seconds <= _MAX_TIMEOUT:
+            raise ConfigError(f"{name} must be from 0 to {_MAX_TIMEOUT:g} seconds, not {seconds}")
 
 
 def _quarter_of_memory() -> int:
@@ -237,11 +240,7 @@ class HubConfig:
                 f"the heartbeat must be positive and at most the timeout, and the timeout a week or less; "
                 f"they are {self.heartbeat:g} s and {self.timeout:g} s"
             )
-        for name in ("greeting", "farewell"):
-            if not 0 <= getattr(self, name) <= _MAX_TIMEOUT:
-                raise ConfigError(
-                    f"{name} must be from 0 to {_MAX_TIMEOUT:g} seconds, not {getattr(self, name)}"
-                )
+        _check_seconds(self, "greeting", "farewell")
         if not 1 <= self.max_body <= MAX_BODY:
             raise ConfigError(f"max_body must be from 1 to {MAX_BODY} bytes, not {self.max_body}")
         if self.max_memory < _BODIES * self.max_body:

@@ -93,15 +93,12 @@ class Host(Protocol):
 
     def deliver(self, peer: Peer, message: Message) -> None:
         """Send `message` to `peer`, or note that the peer cannot be reached."""
-        ...
 
     def end(self, session: Session, why: str) -> None:
         """End a session: say goodbye to all its peers."""
-        ...
 
     def dismiss(self, player: Peer, why: str) -> None:
         """Say goodbye to a failed player, and continue without it; `why` completes a sentence about it."""
-        ...
 
 
 class Session:
@@ -152,7 +149,8 @@ class Session:
         self._seq = 0
         self._explained = 0  # the last call whose delay a player has explained
         self._outstanding: Message | None = None
-        self._pacer = _pacer(pace)
+        late = None if pace.action is None else pace.action.body
+        self._pacer = Pacer(pace, Action().body, late) if pace else None
         self._paced: Message | None = None  # with a pacer, the agent's outstanding call
         self._request_seq = 0
         self._reply: Message | None = None
@@ -579,9 +577,3 @@ class Session:
         self._lost, self._lost_since_reply = {}, {}
         if self._heavy:
             self._account()
-
-
-def _pacer(pace: Pace) -> Pacer | None:
-    """Return the pacer that stands for the agent at a pace; None if the environment waits for it."""
-    action = pace.action
-    return Pacer(pace, Action().body, None if action is None else action.body) if pace else None

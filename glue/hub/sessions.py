@@ -12,7 +12,7 @@ A `Sessions` takes messages and the time, and hands messages to the channels of 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 from glue.errors import RemoteProtocolError
 from glue.hub.channel import Channel, Memory
@@ -24,7 +24,7 @@ from glue.roles import CAPABILITIES
 from glue.wire.codec import UnknownKind, clip
 from glue.wire.messages import (
     BESIDE,
-    CALLS,
+    CALL_KINDS,
     OUTCOME,
     PACE,
     PROTOCOL_VERSION,
@@ -33,7 +33,6 @@ from glue.wire.messages import (
     Kind,
     Message,
     Role,
-    Value,
 )
 
 INSTANCE_SIZE: Final = 16
@@ -45,7 +44,6 @@ ONE_RUN: Final = "one-run"
 _KNOWN: Final = frozenset({ONE_RUN, OUTCOME, *CAPABILITIES})
 """The capabilities that matter here; a peer may offer others, which are not kept."""
 
-_CALLS: Final = frozenset(CALLS)
 _EXPERIMENT: Final = Role.EXPERIMENT
 
 _MAX_LABEL: Final = 255
@@ -126,7 +124,7 @@ class Sessions:
         joined = self._joined.get(channel)
         kind = message[0]
         peer = None if joined is None else joined.get(message[1])
-        if peer is not None and (kind in _CALLS or kind is Kind.ERROR):
+        if peer is not None and (kind in CALL_KINDS or kind is Kind.ERROR):
             if peer.role is _EXPERIMENT:
                 return peer.session.request(peer, message)
             return peer.session.answer(peer, message)
@@ -141,8 +139,7 @@ class Sessions:
             if peer.role is Role.EXPERIMENT:
                 self._end_run(peer.session)
         elif kind is Kind.OBSERVE and peer.session.observers is not None and peer.role is Role.OBSERVER:
-            moments = message.scalars[0]
-            assert isinstance(moments, int)
+            moments: Any = message.scalars[0]
             peer.session.observers.want(channel, moments)
         else:
             text = f"{kind.name} is not for this {peer.role} to send"
@@ -209,25 +206,20 @@ class Sessions:
 
     def _greet(self, channel: Channel, message: Message) -> tuple[ErrorCode, str] | None:
         """Admit the sender of a HELLO, or return why not."""
-        versions, role_name, instance, name, codec, _ = message.scalars
-        assert isinstance(versions, tuple)
-        assert isinstance(instance, bytes)
-        assert isinstance(name, str)
-        assert isinstance(codec, str)
+        hello: Any = message.scalars  # of the types that the codec has checked
+        versions, role_name, instance, name, codec, _ = hello
         if PROTOCOL_VERSION not in versions:
             text = f"this hub supports protocol version {PROTOCOL_VERSION}, the peer {list(versions)}"
             return ErrorCode.VERSION, text
         try:
-            role = Role(str(role_name))
+            role = Role(role_name)
         except ValueError:
             return ErrorCode.MALFORMED, f"the role must be one of {', '.join(Role)}, not {role_name!r:.40}"
         if len(instance) != INSTANCE_SIZE:
             return ErrorCode.MALFORMED, f"an instance must have {INSTANCE_SIZE} bytes, not {len(instance)}"
         if not message.session or not message.session.isprintable():
-            return (
-                ErrorCode.MALFORMED,
-                "the name of a session must have printable characters, and at least one",
-            )
+            text = "the name of a session must have printable characters, and at least one"
+            return ErrorCode.MALFORMED, text
         if not channel.admits(role, message.session):
             text = (
                 f"no {role} of session {message.session!r} may join at this address of the hub, or with this "
@@ -238,8 +230,11 @@ class Sessions:
         if message.session not in joined and len(joined) >= self._config.max_joined:
             text = f"this connection takes part in {len(joined)} sessions, the maximum; open another one"
             return ErrorCode.FULL, text
+        other = joined.get(message.session)
+        if other is not None and other.role is not role:
+            return ErrorCode.MALFORMED, f"this connection is already the {other.role} of the session"
         if role is Role.OBSERVER:
-            return self._greet_observer(channel, message, instance, str(name), str(codec))
+            return self._greet_observer(channel, message, instance, name, codec)
         session = self._by_name.get(message.session)
         if session is None:
             if len(self._by_name) >= self._config.max_sessions:
@@ -249,9 +244,6 @@ class Sessions:
             bank = None if limits is None else TimeBank(limits, self._clock, self._processor)
             session = Session(self, message.session, bank, self._config.pace)
             self._by_name[message.session] = session
-        other = joined.get(message.session)
-        if other is not None and other.role is not role:
-            return ErrorCode.MALFORMED, f"this connection is already the {other.role} of the session"
         current = session.peers.get(role)
         if current is not None and current.instance != instance:
             if current.unreachable_since is None and self._reach(current):
@@ -278,17 +270,11 @@ class Sessions:
 
     def _welcome(self, channel: Channel, message: Message, resumed: bool) -> None:
         config = self._config
-        welcome: tuple[Value, ...] = (
-            PROTOCOL_VERSION,
-            resumed,
-            config.heartbeat,
-            config.timeout,
-            config.max_body,
-        )
         paced = config.pace and message.scalars[1] != Role.AGENT
         holds = sorted(_offered(message) & (BESIDE | {PACE} if paced else BESIDE))
-        if holds:
-            welcome += (tuple(holds),)
+        confirmed = (tuple(holds),) if holds else ()
+        numbers = config.heartbeat, config.timeout, config.max_body
+        welcome = (PROTOCOL_VERSION, resumed, *numbers, *confirmed)
         self.send(channel, Message(Kind.WELCOME, message.session, message.seq, welcome))
 
     def _greet_observer(
@@ -298,10 +284,7 @@ class Sessions:
         session = self._by_name.get(message.session)
         if session is None:
             return ErrorCode.NO_SESSION, f"there is no session {message.session!r} yet; say HELLO again later"
-        current = self._joined.get(channel, {}).get(message.session)
-        if current is not None:
-            if current.role is not Role.OBSERVER:
-                return ErrorCode.MALFORMED, f"this connection is already the {current.role} of the session"
+        if message.session in self._joined.get(channel, {}):
             self._welcome(channel, message, resumed=True)
             return None
         others = self._observers(session)
@@ -388,8 +371,7 @@ class Sessions:
 
 def _offered(hello: Message) -> frozenset[str]:
     """Return the capabilities of a HELLO that matter here."""
-    capabilities = hello.scalars[-1]
-    assert isinstance(capabilities, tuple)
+    capabilities: Any = hello.scalars[-1]
     return _KNOWN.intersection(map(str, capabilities))
 
 

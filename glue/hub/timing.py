@@ -38,22 +38,6 @@ class TimeBank:
             does not count.
     """
 
-    __slots__ = (
-        "_answers",
-        "_bank",
-        "_called_at",
-        "_clock",
-        "_drained",
-        "_limits",
-        "_processor",
-        "_read_at",
-        "_start",
-        "_starting",
-        "_total",
-        "_used",
-        "_waited",
-    )
-
     def __init__(
         self,
         limits: TimeLimits,

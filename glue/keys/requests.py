@@ -1,7 +1,9 @@
 """Requests over HTTP that are signed with the key of their sender.
 
-Four headers sign a request: who sends it, when, the SHA-256 of its body, and the XEd25519 signature of all
-three with its method and path. So a request is checked before its body is read, and the body while it is.
+Five headers sign a request: who sends it, when, to which start of its receiver, the SHA-256 of its body, and
+the XEd25519 signature of all four with its method and path. So a request is checked before its body is read,
+and the body while it is. A receiver remembers the requests that it has had; what one that has been started
+again no longer remembers was signed for another start.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from glue.keys.signing import is_signed, sign
 
 ENTRANT: Final = "Glue-Entrant"
 TIME: Final = "Glue-Time"
+START: Final = "Glue-Start"
 DIGEST: Final = "Glue-Digest"
 SIGNATURE: Final = "Glue-Signature"
 
@@ -33,7 +36,9 @@ class Unsigned(GlueError):
     """A request is not signed by its sender, or not now; the message completes "the request"."""
 
 
-def signed(pair: KeyPair, entrant: str, method: str, path: str, digest: str, now: float) -> dict[str, str]:
+def signed(
+    pair: KeyPair, entrant: str, method: str, path: str, digest: str, start: str, now: float
+) -> dict[str, str]:
     """Return the headers that sign a request.
 
     Args:
@@ -42,9 +47,10 @@ def signed(pair: KeyPair, entrant: str, method: str, path: str, digest: str, now
         method: such as `POST`.
         path: of the address, from its first slash.
         digest: SHA-256 of the body, in hexadecimal.
+        start: what the receiver calls its start.
         now: seconds since 1970.
     """
-    headers = {ENTRANT: entrant, TIME: str(int(now)), DIGEST: digest}
+    headers = {ENTRANT: entrant, TIME: str(int(now)), START: start, DIGEST: digest}
     return {**headers, SIGNATURE: sign(pair.secret, _message(method, path, headers)).hex()}
 
 
@@ -97,5 +103,5 @@ class Once:
 
 
 def _message(method: str, path: str, headers: Mapping[str, str]) -> bytes:
-    parts = ("glue-season", method, path, *(headers.get(name, "") for name in (ENTRANT, TIME, DIGEST)))
+    parts = ("glue-season", method, path, *(headers.get(name, "") for name in (ENTRANT, TIME, START, DIGEST)))
     return "\n".join(parts).encode()

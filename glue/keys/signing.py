@@ -41,7 +41,7 @@ def sign(secret: bytes, message: bytes) -> bytes:
         message: any bytes.
     """
     clamped = bytes([secret[0] & 248, *secret[1:31], secret[31] & 127 | 64])
-    scalar = _reduced(clamped)
+    scalar = bytes(crypto_core_ed25519_scalar_reduce(clamped + bytes(32)))
     point = crypto_scalarmult_ed25519_base_noclamp(scalar)
     if point[31] & _SIGN_BIT:
         scalar = crypto_core_ed25519_scalar_negate(scalar)
@@ -71,7 +71,3 @@ def is_signed(public: bytes, message: bytes, signature: bytes) -> bool:
         return bool(crypto_sign_open(signature + message, y.to_bytes(32, "little")) == message)
     except CryptoError:
         return False
-
-
-def _reduced(scalar: bytes) -> bytes:
-    return bytes(crypto_core_ed25519_scalar_reduce(scalar + bytes(32)))

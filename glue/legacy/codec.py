@@ -38,7 +38,8 @@ from typing import Final, NamedTuple
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.legacy.bodies import BODIES, MAX_STRING, BodyForm, too_short, until_zero
-from glue.wire.messages import CALLS, Body, Call, Kind, Role, Shape, Value
+from glue.wire.codec import FROM_HUB, TO_HUB
+from glue.wire.messages import CALLS, THREE_ROLES, Body, Kind, Role, Shape, Value
 
 SURPLUS: Final = 65_536
 """Maximum number of bytes in a payload beyond the longest content of its kind."""
@@ -309,22 +310,12 @@ def _controls(*kinds: Control) -> dict[int, Layout]:
     return {kind: _layout(kind, Shape()) for kind in kinds}
 
 
-def _calls(callee: Role | None) -> dict[Kind, Call]:
-    return {kind: call for kind, call in CALLS.items() if call.callee is callee and kind <= Kind.RL_AGENT_END}
-
-
-def _requests(callee: Role | None) -> Vocabulary:
-    return _controls(Control.TERMINATE) | {k: _layout(k, call.request) for k, call in _calls(callee).items()}
-
-
-def _replies(callee: Role | None) -> Vocabulary:
-    return _controls(Control.TERMINATE) | {k: _layout(k, call.reply) for k, call in _calls(callee).items()}
+def _vocabulary(role: Role, shapes: Mapping[Kind, Shape]) -> Vocabulary:
+    callee = None if role is Role.EXPERIMENT else role
+    kinds = [kind for kind in CALLS if CALLS[kind].callee is callee and kind <= Kind.RL_AGENT_END]
+    return _controls(Control.TERMINATE) | {kind: _layout(kind, shapes[kind]) for kind in kinds}
 
 
 HANDSHAKE: Final = _controls(Control.CONNECT_EXPERIMENT, Control.CONNECT_AGENT, Control.CONNECT_ENVIRONMENT)
-FROM_AGENT: Final = _replies(Role.AGENT)
-FROM_ENVIRONMENT: Final = _replies(Role.ENVIRONMENT)
-FROM_EXPERIMENT: Final = _requests(None)
-TO_AGENT: Final = _requests(Role.AGENT)
-TO_ENVIRONMENT: Final = _requests(Role.ENVIRONMENT)
-TO_EXPERIMENT: Final = _replies(None)
+FROM: Final = {role: _vocabulary(role, TO_HUB) for role in THREE_ROLES}
+TO: Final = {role: _vocabulary(role, FROM_HUB) for role in THREE_ROLES}

@@ -9,18 +9,18 @@ from typing import Final
 
 from glue.engine.engine import EPISODE_VERBS
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.legacy.codec import FROM_EXPERIMENT, Control, Frame, encode
+from glue.legacy.codec import FROM, Control, Frame, encode
 from glue.legacy.peers import BASE, LegacyPeer
 from glue.legacy.states import EXPERIMENT, ExperimentEvent, ExperimentState
 from glue.types import Action, body_size
-from glue.wire.messages import Event, Kind, Message
+from glue.wire.messages import Event, Kind, Message, Role
 
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _IDLE: Final = ExperimentState.IDLE
 _WAITING: Final = EXPERIMENT[_IDLE][ExperimentEvent.REQUEST]
 _REPLIED: Final = EXPERIMENT[_WAITING][ExperimentEvent.REPLY]
 _RL_STEP: Final = Kind.RL_STEP
-_STEP: Final = encode(Frame(_RL_STEP), FROM_EXPERIMENT)
+_STEP: Final = encode(Frame(_RL_STEP), FROM[Role.EXPERIMENT])
 
 _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
@@ -139,7 +139,7 @@ class LegacyExperiment(LegacyPeer):
         if kind is _RL_STEP and scalars[1] and not self._has_stepped:
             # The original repeats the previous step's action in a terminal step; so far there is none.
             body = body[: body_size(body)] + Action().body
-        elif kind is _RL_STEP or (kind is Kind.RL_EPISODE and self._num_steps() > 1):
+        elif kind is _RL_STEP or (kind is Kind.RL_EPISODE and self._sessions.num_steps(self._session) > 1):
             self._has_stepped = True
         try:
             frame = encode((kind, scalars, body), self._vocabulary)
@@ -153,9 +153,6 @@ class LegacyExperiment(LegacyPeer):
             self._expect_end()
         if self._decoder.buffered or self._closed:
             self._connection.later()
-
-    def _num_steps(self) -> int:
-        return self._sessions.num_steps(self._session)
 
     def _fail(self, kind: Kind, why: str) -> None:
         repeatable = kind not in EPISODE_VERBS
@@ -264,4 +261,4 @@ class LegacyExperiment(LegacyPeer):
         if ExperimentEvent.REPLY in EXPERIMENT[self._state] and self._request is not None:
             why += f" during {self._request.kind.name}"
         self._on(ExperimentEvent.LEFT)
-        self._send(Message(Kind.GOODBYE, self._session, 0, (why,)), now)
+        self._sessions.receive(self, Message(Kind.GOODBYE, self._session, 0, (why,)), now)

@@ -29,36 +29,16 @@ from typing import Final
 
 from glue.errors import RemoteProtocolError
 from glue.hub.config import LegacyPort
-from glue.hub.io.connection import Connection
+from glue.hub.io.connection import Connection, Owner
 from glue.hub.io.listener import Listener, OpenAddress, open_address
 from glue.hub.io.log import Log
 from glue.hub.io.server import Hub
-from glue.legacy.codec import (
-    FROM_AGENT,
-    FROM_ENVIRONMENT,
-    FROM_EXPERIMENT,
-    HANDSHAKE,
-    Control,
-    Decoder,
-    Vocabulary,
-)
+from glue.legacy.codec import FROM, HANDSHAKE, Decoder
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.peers import LegacyPlayer
 from glue.legacy.pending import Pending
 from glue.system import network
-from glue.wire.messages import Kind, Role
-
-_ROLES: Final[Mapping[Kind | Control, Role]] = {
-    Control.CONNECT_AGENT: Role.AGENT,
-    Control.CONNECT_ENVIRONMENT: Role.ENVIRONMENT,
-    Control.CONNECT_EXPERIMENT: Role.EXPERIMENT,
-}
-_FROM: Final[Mapping[Role, Vocabulary]] = {
-    Role.AGENT: FROM_AGENT,
-    Role.ENVIRONMENT: FROM_ENVIRONMENT,
-    Role.EXPERIMENT: FROM_EXPERIMENT,
-}
-
+from glue.wire.messages import Role
 
 _NONE: Final[Mapping[LegacyPort, OpenAddress]] = {}
 
@@ -128,7 +108,7 @@ def open_legacy_port(port: LegacyPort) -> OpenAddress:
     return open_address(f"tcp://{host}:{port.port or '*'}", "legacy_port")
 
 
-class _Handshake:
+class _Handshake(Owner):
     """A connection that has not stated its role yet."""
 
     def __init__(self, pending: Pending, connection: Connection, port: LegacyPort) -> None:
@@ -157,13 +137,10 @@ class _Handshake:
             return
         if frame is not None:
             self._pending.remove(connection)
-            role = _ROLES[frame.kind]
-            decoder.expect(_FROM[role])
+            role = Role[frame.kind.name.removeprefix("CONNECT_")]
+            decoder.expect(FROM[role])
             peer = LegacyExperiment if role is Role.EXPERIMENT else LegacyPlayer
             peer(self._pending, connection, decoder, role, self._port).join(now)
-
-    def failed(self, now: float) -> None:
-        """Do nothing: it had no role."""
 
     def _time_out(self, now: float) -> None:
         self._pending.drop(self._connection, "it did not say which role it is to have", "", now)

@@ -6,23 +6,13 @@ states.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.hub.config import LegacyPort
-from glue.hub.io.connection import Connection
+from glue.hub.io.connection import Connection, Owner
 from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN
-from glue.legacy.codec import (
-    HEAD_SIZE,
-    TO_AGENT,
-    TO_ENVIRONMENT,
-    TO_EXPERIMENT,
-    Decoder,
-    Frame,
-    Vocabulary,
-    encode,
-)
+from glue.legacy.codec import HEAD_SIZE, TO, Decoder, Frame, encode
 from glue.legacy.pending import Pending
 from glue.legacy.states import PLAYER, PlayerEvent, PlayerState
 from glue.system import chance, clock
@@ -32,12 +22,6 @@ BASE: Final = 8192
 """Bytes that a program's connection and its peer use at most besides what it has received and not sent."""
 
 _CODEC: Final = "RL-Glue 3.x"
-
-_TO: Final[Mapping[Role, Vocabulary]] = {
-    Role.AGENT: TO_AGENT,
-    Role.ENVIRONMENT: TO_ENVIRONMENT,
-    Role.EXPERIMENT: TO_EXPERIMENT,
-}
 
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _IDLE: Final = PlayerState.IDLE
@@ -53,7 +37,7 @@ _message: Final = tuple.__new__
 """Constructor of a named tuple, at half the cost of calling its class."""
 
 
-class LegacyPeer:
+class LegacyPeer(Owner):
     """An original program in its role; a channel of the sessions."""
 
     def __init__(
@@ -65,7 +49,7 @@ class LegacyPeer:
         self._connection = connection
         self._decoder = decoder
         self._role = role
-        self._vocabulary = _TO[role]
+        self._vocabulary = TO[role]
         self._session = port.session
         self._port = port
         self._held = 0
@@ -80,7 +64,7 @@ class LegacyPeer:
         # Its protocol declares no name. Its address differs in each trial, so it must not name it in results.
         name, codec = f"original {self._role}", f"{_CODEC} at {self._connection.name}"
         scalars = ((PROTOCOL_VERSION,), str(self._role), instance, name, codec, capabilities)
-        self._send(Message(Kind.HELLO, self._session, 0, scalars), now)
+        self._sessions.receive(self, Message(Kind.HELLO, self._session, 0, scalars), now)
         if self._decoder.buffered:
             self._connection.later()
 
@@ -155,9 +139,6 @@ class LegacyPeer:
     def _work(self, now: float, data: bytes | None) -> None:
         """Handle `data`, or receive it first if it is None."""
         raise NotImplementedError
-
-    def _send(self, message: Message, now: float) -> None:
-        self._sessions.receive(self, message, now)
 
 
 class LegacyPlayer(LegacyPeer):

@@ -9,8 +9,9 @@ from typing import Final
 from glue.hub.io.connection import Connection, take_leave
 from glue.hub.io.log import Log
 from glue.hub.io.server import Hub
-from glue.legacy.codec import TO_AGENT, Control, Frame, encode
+from glue.legacy.codec import TO, Control, Frame, encode
 from glue.system import clock
+from glue.wire.messages import Role
 
 MAX_PENDING: Final = 256
 """Maximum number of connections without a role; one more closes the oldest."""
@@ -18,7 +19,7 @@ MAX_PENDING: Final = 256
 _SUMMARY_SECONDS: Final = 60.0
 """Interval in seconds at which dropped connections are summed up in the log."""
 
-_TERMINATE: Final = encode(Frame(Control.TERMINATE), TO_AGENT)
+_TERMINATE: Final = encode(Frame(Control.TERMINATE), TO[Role.AGENT])
 
 
 @dataclass(slots=True)

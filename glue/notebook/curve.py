@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from glue.engine.experiment import Experiment
-from glue.errors import ConfigError
+from glue.installed import needing
 from glue.system import clock
 
 _SECONDS: Final = 0.5
@@ -91,8 +91,6 @@ def _drawing(returns: Sequence[float], episodes: int) -> Any:
 
 
 def _display() -> Any:
-    try:
+    with needing("notebooks", "run_live draws in a notebook"):
         display = importlib.import_module("IPython.display")
-    except ModuleNotFoundError:
-        raise ConfigError("run_live draws in a notebook: pip install 'glue-rl[notebooks]'") from None
     return display.display(display.HTML(""), display_id=True) or display.DisplayHandle()

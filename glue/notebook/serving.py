@@ -19,10 +19,8 @@ class Served:
         error: the exception that ended it; None while it is served, or if it ended normally.
     """
 
-    error: Exception | None
-
     def __init__(self, serve: Callable[[Event], object]) -> None:
-        self.error = None
+        self.error: Exception | None = None
         self._stop = Event()
         self._thread = Thread(target=self._serve, args=(serve,), daemon=True)
         self._thread.start()

@@ -93,62 +93,54 @@ def application(
     Raises:
         ConfigError: the task spec does not state the actions.
     """
-    model = _Models(make, name)
-    app = create_fastapi_app(
-        model.environment, model.action, model.observation, MAX_SESSIONS, env_name=name, mode="simulation"
-    )
+    app = create_fastapi_app(*_models(make, name), MAX_SESSIONS, env_name=name, mode="simulation")
     # Sessions over MCP have no connection whose end would end them, and environments of ours have no tools.
     app.router.routes[:] = [route for route in app.routes if getattr(route, "path", None) != "/mcp"]
     return _Guard(app, any_host, idle)
 
 
-class _Models:
-    """The typed actions and observations of an environment, and the class that plays it."""
+def _models(make: Callable[[], Environment], name: str) -> tuple[Any, Any, Any]:
+    """Return the class that plays an environment, and the types of its actions and observations."""
+    first = wrap(make())
+    spec, actions, observations = first.task_spec, first.action_space, first.observation_space
+    first.close()
+    action_type = _model(f"{name}Action", Action, actions, "action")
+    observation_type = _model(f"{name}Observation", Observation, observations, "observation")
 
-    def __init__(self, make: Callable[[], Environment], name: str) -> None:
-        first = wrap(make())
-        spec, actions, observations = first.task_spec, first.action_space, first.observation_space
-        first.close()
-        self.action = _model(f"{name}Action", Action, actions, "action")
-        self.observation = _model(f"{name}Observation", Observation, observations, "observation")
-        models = self
-
-        class Served(OpenEnvironment):  # type: ignore[misc]
-            SUPPORTS_CONCURRENT_SESSIONS = True
-
-            def __init__(self) -> None:
-                super().__init__()
-                self._env: GlueEnv = wrap(make())
-                self._state = State()
-
-            def reset(self, seed: int | None = None, episode_id: str | None = None) -> Any:
-                observation, _ = self._env.reset(seed=None if seed is None else seed % 2**63)
-                self._state = State(episode_id=episode_id, step_count=0, task_spec=spec)
-                return models.observed(observations, observation, None, False, False)
-
-            def step(self, action: Any, timeout_s: float | None = None) -> Any:
-                value = action.model_dump(exclude={"metadata"})
-                given = value if isinstance(actions, spaces.Dict) else value["action"]
-                step = self._env.step(_from_json(actions, given))
-                self._state.step_count += 1
-                return models.observed(observations, *step[:4])
-
-            @property
-            def state(self) -> State:
-                return self._state
-
-            def close(self) -> None:
-                self._env.close()
-
-        self.environment = Served
-
-    def observed(
-        self, space: SpaceLike, value: Any, reward: float | None, terminated: bool, truncated: bool
-    ) -> Any:
-        shown = _to_json(space, value)
-        fields = shown if isinstance(space, spaces.Dict) else {"observation": shown}
+    def observed(value: Any, reward: float | None, terminated: bool, truncated: bool) -> Any:
+        shown = _to_json(observations, value)
+        fields = shown if isinstance(observations, spaces.Dict) else {"observation": shown}
         metadata = {"truncated": True} if truncated else {}
-        return self.observation(**fields, reward=reward, done=terminated or truncated, metadata=metadata)
+        return observation_type(**fields, reward=reward, done=terminated or truncated, metadata=metadata)
+
+    class Served(OpenEnvironment):  # type: ignore[misc]
+        SUPPORTS_CONCURRENT_SESSIONS = True
+
+        def __init__(self) -> None:
+            super().__init__()
+            self._env: GlueEnv = wrap(make())
+            self._state = State()
+
+        def reset(self, seed: int | None = None, episode_id: str | None = None) -> Any:
+            observation, _ = self._env.reset(seed=None if seed is None else seed % 2**63)
+            self._state = State(episode_id=episode_id, step_count=0, task_spec=spec)
+            return observed(observation, None, False, False)
+
+        def step(self, action: Any, timeout_s: float | None = None) -> Any:
+            value = action.model_dump(exclude={"metadata"})
+            given = value if isinstance(actions, spaces.Dict) else value["action"]
+            step = self._env.step(_from_json(actions, given))
+            self._state.step_count += 1
+            return observed(*step[:4])
+
+        @property
+        def state(self) -> State:
+            return self._state
+
+        def close(self) -> None:
+            self._env.close()
+
+    return Served, action_type, observation_type
 
 
 def _model(name: str, base: Any, space: SpaceLike, single: str) -> Any:

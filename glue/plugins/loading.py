@@ -31,7 +31,7 @@ from glue.errors import ConfigError, GlueError, PeerFailed, described
 from glue.files import read_regular
 from glue.installed import entry_points
 from glue.options import Value, build
-from glue.roles import Agent, SaveableAgent, completed, offers
+from glue.roles import Agent, SaveableAgent, Wrapper, completed, offers
 from glue.wire.messages import Role
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def find_model(name: str) -> Any:
     )
 
 
-class Trained:
+class Trained(Wrapper):
     """`agent`, with `learned` loaded after every init; otherwise unchanged.
 
     Args:
@@ -116,11 +116,8 @@ class Trained:
     """
 
     def __init__(self, agent: Any, learned: bytes) -> None:
-        self.__wrapped__: Any = completed(agent, Agent)
+        self.__wrapped__ = completed(agent, Agent)
         self._learned = learned
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.__wrapped__, name)
 
     def agent_init(self, task_spec: str) -> None:
         self.__wrapped__.agent_init(task_spec)

@@ -36,32 +36,31 @@ class NamingCommand(click.Command):
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            remedy = _as_player_option(error.option_name, given)
+            remedy = self.remedy(error.option_name, given)
             if remedy is None:
                 raise
             raise click.UsageError(remedy, ctx) from None
 
-
-def _as_player_option(option: str, args: Sequence[str]) -> str | None:
-    """Return the way to give `option` if a player named in `args` has it, else None."""
-    wanted = option.lstrip("-")
-    for flag, role in _FLAGS.items():
-        name = _value_of(flag, args)
-        if name is None:
-            continue
-        try:
-            known = parameters(find(role, name))
-        except GlueError:
-            continue
-        for parameter in known.values():
-            if wanted in (parameter.flag, f"no-{parameter.flag}"):
-                if parameter.type is bool:
-                    value = "on" if wanted == parameter.flag else "off"
-                else:
-                    value = _value_of(option, args) or "VALUE"
-                assignment = f"{flag}-option {parameter.name}={value}"
-                return f"{option} is an option of the {role} {name}: write {assignment}"
-    return None
+    def remedy(self, option: str, args: Sequence[str]) -> str | None:
+        """Return the way to give `option` if a player named in `args` has it, else None."""
+        wanted = option.lstrip("-")
+        for flag, role in _FLAGS.items():
+            name = _value_of(flag, args)
+            if name is None:
+                continue
+            try:
+                known = parameters(find(role, name))
+            except GlueError:
+                continue
+            for parameter in known.values():
+                if wanted in (parameter.flag, f"no-{parameter.flag}"):
+                    if parameter.type is bool:
+                        value = "on" if wanted == parameter.flag else "off"
+                    else:
+                        value = _value_of(option, args) or "VALUE"
+                    assignment = f"{flag}-option {parameter.name}={value}"
+                    return f"{option} is an option of the {role} {name}: write {assignment}"
+        return None
 
 
 def _value_of(flag: str, args: Sequence[str]) -> str | None:

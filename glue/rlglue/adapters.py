@@ -106,8 +106,7 @@ def adapted(adapter: type[Adapter], source: type) -> type[Adapter]:
     def __init__(self: Adapter, **options: Any) -> None:
         adapter.__init__(self, **options)
 
-    of_source = keywords(source, f"keyword of {source.__name__}")
-    options = [*(each for each in of_source if each.name != _SEED), *adapter.own_options]
+    options = keywords(source, f"keyword of {source.__name__}", adapter.own_options, _SEED)
     members: dict[str, Any] = {
         "__doc__": source.__doc__,
         "__init__": with_options(__init__, options),

@@ -14,10 +14,5 @@ unix: Final = time.time
 
 sleep: Final = time.sleep
 
-
-def _keep_on() -> None:
-    """Do nothing: this system cannot yield a core."""
-
-
-give_way: Final = getattr(os, "sched_yield", _keep_on)
+give_way: Final = getattr(os, "sched_yield", lambda: None)
 """Yield this core: the peer that is to answer may be waiting for it."""

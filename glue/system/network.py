@@ -5,60 +5,32 @@ from __future__ import annotations
 import math
 import select as _select
 import socket as _socket
-from select import POLLIN, POLLOUT, poll, select
-from socket import (
-    AF_INET,
-    AF_INET6,
-    AI_PASSIVE,
-    IPPROTO_TCP,
-    SHUT_RDWR,
-    SHUT_WR,
-    SO_ERROR,
-    SO_KEEPALIVE,
-    SO_LINGER,
-    SOCK_STREAM,
-    SOL_SOCKET,
-    TCP_NODELAY,
-    create_server,
-    gaierror,
-    getaddrinfo,
-    socket,
-    socketpair,
-)
+from select import POLLIN as POLLIN
+from select import POLLOUT as POLLOUT
+from select import poll as poll
+from select import select as select
+from socket import AF_INET as AF_INET
+from socket import AF_INET6 as AF_INET6
+from socket import AI_PASSIVE as AI_PASSIVE
+from socket import IPPROTO_TCP as IPPROTO_TCP
+from socket import SHUT_RDWR as SHUT_RDWR
+from socket import SHUT_WR as SHUT_WR
+from socket import SO_ERROR as SO_ERROR
+from socket import SO_KEEPALIVE as SO_KEEPALIVE
+from socket import SO_LINGER as SO_LINGER
+from socket import SO_REUSEADDR as SO_REUSEADDR
+from socket import SOCK_STREAM as SOCK_STREAM
+from socket import SOL_SOCKET as SOL_SOCKET
+from socket import TCP_NODELAY as TCP_NODELAY
+from socket import create_server as create_server
+from socket import gaierror as gaierror
+from socket import getaddrinfo as getaddrinfo
+from socket import socket as socket
+from socket import socketpair as socketpair
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-__all__ = [
-    "AF_INET",
-    "AF_INET6",
-    "AF_UNIX",
-    "AI_PASSIVE",
-    "IPPROTO_TCP",
-    "POLLIN",
-    "POLLOUT",
-    "SHUT_RDWR",
-    "SHUT_WR",
-    "SOCK_STREAM",
-    "SOL_SOCKET",
-    "SO_ERROR",
-    "SO_KEEPALIVE",
-    "SO_LINGER",
-    "SO_REUSEPORT",
-    "TCP_NODELAY",
-    "Poller",
-    "PortablePoller",
-    "create_server",
-    "gaierror",
-    "getaddrinfo",
-    "poll",
-    "select",
-    "socket",
-    "socketpair",
-    "tcp_option",
-]
-
 
 AF_UNIX: Final[int] = getattr(_socket, "AF_UNIX", -1)
 """Address family of Unix sockets; -1, which no socket has, on systems without them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Final
 
 from glue.system import network
@@ -12,10 +13,32 @@ _PROBES: Final = 3
 _MAX_SILENCE: Final = 32_767
 """Maximum silence in seconds; Linux, MAX_TCP_KEEPIDLE."""
 
+_RESET: Final = struct.pack("ii", 1, 0)
+"""Value of SO_LINGER: unsent data is dropped, and the other side sees a reset."""
+
 
 def unix_address(path: str) -> str:
     """Return the address of a Unix socket; a `path` that begins with `@` is an abstract address of Linux."""
     return "\0" + path[1:] if path.startswith("@") else path
+
+
+def never_wait(connected: network.socket) -> None:
+    """Have no call of a socket block, and no small message wait for others."""
+    connected.setblocking(False)
+    if connected.family != network.AF_UNIX:
+        connected.setsockopt(network.IPPROTO_TCP, network.TCP_NODELAY, 1)
+
+
+def reset_when_closed(connected: network.socket) -> None:
+    """Have the next system call of the other side fail once the socket is closed."""
+    connected.setsockopt(network.SOL_SOCKET, network.SO_LINGER, _RESET)
+
+
+def wait_for(waiting: network.socket, events: int, seconds: float) -> bool:
+    """Return whether one of these events of a socket occurs within `seconds`."""
+    poller = network.poll()
+    poller.register(waiting, events)
+    return bool(poller.poll(max(0.0, seconds) * 1000))
 
 
 def probe_when_silent(connected: network.socket, seconds: float) -> None:

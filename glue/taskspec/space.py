@@ -9,7 +9,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -239,6 +239,15 @@ class Space:
         if self.chars:
             parts += ["CHARCOUNT", str(self.chars)]
         return " ".join(parts)
+
+
+def equal_runs(low: npt.NDArray[Any], high: npt.NDArray[Any]) -> Iterator[tuple[int, Any, Any]]:
+    """Yield how often each pair of bounds comes in succession, and the pair; both arrays are flat."""
+    if not len(low):
+        return
+    changes = (np.flatnonzero((low[1:] != low[:-1]) | (high[1:] != high[:-1])) + 1).tolist()
+    for start, stop in zip([0, *changes], [*changes, len(low)], strict=True):
+        yield stop - start, low[start].item(), high[start].item()
 
 
 def _nearest(ranges: Ranges) -> list[float]:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from glue.errors import TaskSpecError
 from glue.taskspec.parser import RL_GLUE_3, TaskSpec
-from glue.taskspec.space import MAX_COUNT, Bound, Range, Ranges, Run, Space
+from glue.taskspec.space import MAX_COUNT, Bound, Range, Ranges, Space, equal_runs
 
 
 def Discrete(n: int, start: int = 0) -> Space:
@@ -44,16 +44,13 @@ def Box(
         wanted = np.broadcast_shapes(np.shape(low), np.shape(high)) if shape is None else tuple(shape)
         if np.prod(wanted, dtype=float) > MAX_COUNT:
             raise TaskSpecError(f"a Box of shape {wanted} has more than {MAX_COUNT} numbers")
-        pairs = [np.broadcast_to(np.asarray(bound, np.float64), wanted).ravel() for bound in (low, high)]
+        ends = [np.broadcast_to(np.asarray(bound, np.float64), wanted).ravel() for bound in (low, high)]
     except ValueError as error:
         raise TaskSpecError(f"the bounds of a Box do not fit its shape: {error}") from None
-    ends = np.stack(pairs, axis=1)
-    if not len(ends):
-        return Space()
-    starts = np.flatnonzero(np.r_[True, (ends[1:] != ends[:-1]).any(axis=1)])
-    repeats = np.diff(np.r_[starts, len(ends)])
-    ranges = Ranges(tuple(_run(n, ends[i], dtype) for i, n in zip(starts, repeats.tolist(), strict=True)))
-    return Space(ints=ranges) if dtype is int else Space(doubles=ranges)
+    if dtype is float:
+        return Space(doubles=Ranges(tuple((n, Range(*pair)) for n, *pair in equal_runs(*ends))))
+    runs = [(n, [int(end) if end.is_integer() else end for end in pair]) for n, *pair in equal_runs(*ends)]
+    return Space(ints=Ranges(tuple((n, Range(*pair)) for n, pair in runs)))
 
 
 def Chars(count: int) -> Space:
@@ -97,10 +94,3 @@ def task_spec(
         TaskSpecError: a value is out of range, or the text is longer than 65,536 characters.
     """
     return str(TaskSpec(RL_GLUE_3, problem_type, discount, observations, actions, Range(*rewards), extra))
-
-
-def _run(repeat: int, ends: npt.NDArray[np.float64], dtype: type[float] | type[int]) -> Run:
-    low, high = ends.tolist()
-    if dtype is int:
-        low, high = (int(bound) if float(bound).is_integer() else bound for bound in (low, high))
-    return repeat, Range(low, high)

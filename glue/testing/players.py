@@ -162,9 +162,6 @@ class _Player(ABC):
     def start(self, generator: np.random.Generator) -> object:
         """Begin an episode."""
 
-    def cleanup(self) -> None:
-        self.call("cleanup")
-
     def call(self, method: str, *arguments: object) -> Any:
         """Return the answer of a method of the player, named without its prefix."""
         try:
@@ -269,7 +266,7 @@ class _EnvironmentPlayer(_Player):
         if not isinstance(terminal, (bool, np.bool_)):
             raise self.wrong(Rule.TERMINAL, "step", terminal)
         self.checked("step", observation)
-        return step_of(self.player, answer)
+        return step_of(answer)
 
 
 class _AgentPlayer(_Player):
@@ -315,11 +312,6 @@ class _AgentPlayer(_Player):
 
 @globals_restored()
 def _check(make: Callable[[], _Player], seed: int) -> None:
-    with globals_restored():
-        _check_rules(make, seed)
-
-
-def _check_rules(make: Callable[[], _Player], seed: int) -> None:
     if not make().seedable:
         seed_globals(seed)
         once = _run(make(), seed)
@@ -327,11 +319,11 @@ def _check_rules(make: Callable[[], _Player], seed: int) -> None:
         _compare(Rule.REPEATABLE, once, _run(make(), seed))
     player = make()
     player.send_messages()
-    player.cleanup()  # RL-Glue lets an experiment clean up, and send messages, before any init.
+    player.call("cleanup")  # RL-Glue lets an experiment clean up, and send messages, before any init.
     first = _run(player, seed)
     in_mid_episode = _run(player, seed)
-    player.cleanup()
-    player.cleanup()
+    player.call("cleanup")
+    player.call("cleanup")
     after_cleanup = _run(player, seed)
     if player.seedable:
         _compare(Rule.SEED, first, _run(make(), seed))

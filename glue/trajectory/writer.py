@@ -282,7 +282,20 @@ class ActionWriter(_Writer):
 
     def _end_block(self) -> None:
         if self._choices:
-            self._grow(_block_record(tuple(self._actions), self._choices, self._rewards, bytes(self._late)))
+            # Compared by their bits: 0.0 and -0.0 are two rewards.
+            rewards = np.array(self._rewards, np.float64).view(np.uint64)
+            bits, paid = np.unique(rewards, return_inverse=True)
+            late = np.packbits(np.frombuffer(bytes(self._late), np.uint8), bitorder="little").tobytes()
+            record = (
+                records.LATE_BLOCK if any(late) else records.BLOCK,
+                records.COUNTS.pack(len(self._choices), len(self._actions), len(bits)),
+                *self._actions,
+                bits.astype("<u8").tobytes(),
+                np.array(self._choices, records.width(len(self._actions))).tobytes(),
+                paid.astype(records.width(len(bits))).tobytes(),
+                late if any(late) else b"",
+            )
+            self._grow(b"".join(record))
             self._open = 0
             self._actions.clear()
             self._actions_size = 0
@@ -296,22 +309,3 @@ def _body_of(value: AbstractType) -> bytes:
             f"an observation or action of {len(body)} bytes cannot be recorded; {limits.MAX_BODY} are allowed"
         )
     return body
-
-
-def _block_record(
-    actions: tuple[bytes, ...], choices: array[int], rewards: array[float], late: bytes
-) -> bytes:
-    # Compared by their bits: 0.0 and -0.0 are two rewards.
-    bits, paid = np.unique(np.array(rewards, np.float64).view(np.uint64), return_inverse=True)
-    marks = np.packbits(np.frombuffer(late, np.uint8), bitorder="little").tobytes() if any(late) else b""
-    return b"".join(
-        (
-            records.LATE_BLOCK if marks else records.BLOCK,
-            records.COUNTS.pack(len(choices), len(actions), len(bits)),
-            *actions,
-            bits.astype("<u8").tobytes(),
-            np.array(choices, records.width(len(actions))).tobytes(),
-            paid.astype(records.width(len(bits))).tobytes(),
-            marks,
-        )
-    )

@@ -24,6 +24,9 @@ MAX_HEADER: Final = 4096
 MAX_BODY: Final = 16 * 2**20
 """Maximum size of a body, in bytes: room for RL-Glue's million ints, million doubles and million chars."""
 
+MAX_FRAME: Final = 2 * MAX_BODY + MAX_HEADER
+"""Maximum size of a frame from a hub, in bytes: of an observation and an action together, or of a header."""
+
 MAX_NAME: Final = 255
 """Maximum length of a session or peer name, in characters."""
 
@@ -56,7 +59,9 @@ class Role(StrEnum):
     OBSERVER = "observer"
 
 
-THREE_ROLES: Final = (Role.AGENT, Role.ENVIRONMENT, Role.EXPERIMENT)
+PLAYERS: Final = (Role.AGENT, Role.ENVIRONMENT)
+
+THREE_ROLES: Final = (*PLAYERS, Role.EXPERIMENT)
 """The roles that make up a session."""
 
 
@@ -273,6 +278,9 @@ CALLS: Final[Mapping[Kind, Call]] = MappingProxyType(
         Kind.RL_AGENT_METRICS: Call(None, _EMPTY, _OBSERVATION),
     }
 )
+
+CALL_KINDS: Final = frozenset(CALLS)
+"""The kinds of `CALLS`, in which a kind is found faster."""
 
 CONTROL: Final[Mapping[Kind, Shape]] = MappingProxyType(
     {

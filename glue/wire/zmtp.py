@@ -135,42 +135,34 @@ class Mechanism(Protocol):
     @property
     def is_server(self) -> bool:
         """Whether this end is the server of the handshake."""
-        ...
 
     @property
     def overhead(self) -> int:
         """Maximum overhead of an encrypted frame over the frame in it, in bytes."""
-        ...
 
     def begin(self) -> bytes:
         """Return the body of this end's first command after the greetings; b"" at the server."""
-        ...
 
     def answer(self, command: bytes, metadata: bytes) -> tuple[bytes, bytes | None]:
         """Return the body of the answer to a command, and the other side's metadata.
 
         The body is b"" if no answer is needed; the metadata is None until the handshake is complete.
         """
-        ...
 
     def decrypt(self, frame: bytes) -> tuple[int, bytes]:
         """Return the flags of a frame (1: more frames follow, 2: a command) and its payload."""
-        ...
 
     def open_message(self, data: bytes) -> tuple[bytes, bytes] | None:
         """Return the frames, without encryption, of the message of two frames that `data` is; otherwise None.
 
         Without a result nothing has changed, and the frames can still be passed to `decrypt`.
         """
-        ...
 
     def seal_message(self, header: bytes, body: bytes) -> bytes | bytearray:
         """Return the bytes of a message of two frames, the first of at most 222 bytes."""
-        ...
 
     def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytearray:
         """Return the bytes of a message of at least one frame, the last of which has these flags."""
-        ...
 
 
 class Decoder:

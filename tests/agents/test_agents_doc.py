@@ -6,37 +6,21 @@ import re
 
 import pytest
 
-from agents.mario.agent import MarioAgent
-from agents.mario.sample import SampleAgent
-from agents.mohan2010.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
-from agents.mohan2010.hierarchical import (
-    HierarchicalAgent,
-    HierarchicalFactsAgent,
-    HierarchicalInternalAgent,
-    HierarchicalProgrammedAgent,
-    ObjectsCoarseAgent,
-)
 from glue.options import parameters
+from glue.plugins.loading import find
+from glue.wire.messages import Role
+from tests.agents.mohan2010.test_paper_agents import PAPER
 from tests.pages import DOCS, rows
 
 DOCUMENT = (DOCS / "agents.md").read_text(encoding="utf-8")
-EXPERIMENTS: dict[type[MarioAgent], str] = {
-    SampleAgent: "",
-    TilesAgent: "1",
-    TilesCoarseAgent: "2",
-    ObjectsFlatAgent: "3",
-    HierarchicalProgrammedAgent: "4",
-    HierarchicalAgent: "5",
-    HierarchicalFactsAgent: "6",
-    HierarchicalInternalAgent: "7",
-    ObjectsCoarseAgent: "8",
-}
+OPTIONS = {name: parameters(find(Role.AGENT, name)) for name in ("sample", *PAPER)}
 
 
-@pytest.mark.parametrize("kind", EXPERIMENTS, ids=lambda kind: kind.name)
-def test_every_agent_and_option_is_documented(kind: type[MarioAgent]) -> None:
-    assert re.search(rf"^\| `{kind.name}` \| {EXPERIMENTS[kind]} ?\|", DOCUMENT, re.MULTILINE)
-    for name, parameter in parameters(kind).items():
+@pytest.mark.parametrize("agent", OPTIONS)
+def test_every_agent_and_option_is_documented(agent: str) -> None:
+    experiment = PAPER.index(agent) + 1 if agent in PAPER else ""
+    assert re.search(rf"^\| `{agent}` \| {experiment} ?\|", DOCUMENT, re.MULTILINE)
+    for name, parameter in OPTIONS[agent].items():
         default = "the experiment's" if parameter.default is None else f"{parameter.default:g}"
         if parameter.type is bool:
             default = str(parameter.default).lower()
@@ -44,5 +28,5 @@ def test_every_agent_and_option_is_documented(kind: type[MarioAgent]) -> None:
 
 
 def test_no_option_is_documented_that_is_not_there() -> None:
-    known = {name for kind in EXPERIMENTS for name in parameters(kind)}
+    known = {name for options in OPTIONS.values() for name in options}
     assert {row[0].strip("`") for row in rows(DOCUMENT, "| option |")} == known

@@ -16,6 +16,7 @@ from agents.mohan2010.hierarchical import HierarchicalAgent
 from agents.planner.agent import PlannerAgent
 from agents.planner.learner import LearningPlannerAgent
 from env_server.mario.environment import InfiniteMario
+from glue.engine.local import local
 
 def loaded():
     return {
@@ -31,17 +32,13 @@ for kind in TilesAgent, HierarchicalAgent, PlannerAgent, LearningPlannerAgent:
     if os.fork():  # each begins with nothing loaded
         os.wait()
         continue
-    environment, agent = InfiniteMario(), kind()
-    agent.agent_init(environment.env_init())
+    agent = kind()
+    glue = local(agent, InfiniteMario())
+    glue.rl_init()
     before = loaded()
     assert before
-    action = agent.agent_start(environment.env_start())
-    for _ in range(80):
-        reward, observation, terminal, *_ = environment.env_step(action)
-        if terminal:
-            break
-        action = agent.agent_step(reward, observation)
-    agent.agent_end(reward)
+    glue.rl_episode(80)
+    agent.agent_end(0.0)
     print(kind.name, sorted(loaded() - before), flush=True)
     os._exit(0)
 """

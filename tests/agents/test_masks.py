@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from glue.roles import Agent, capabilities
 from glue.taskspec import legal_values, parse_task_spec
 from glue.taskspec.spaces import Box, Discrete, Tuple, task_spec
 from glue.types import Action, Observation
+from tests.agents.screens import draw
 
 DIGITS = task_spec(Discrete(10), Discrete(10, start=-3), extra="masks")
 
@@ -142,7 +143,7 @@ def test_a_mask_of_another_task_is_the_environments_mistake(mask: list[bool]) ->
             agent.agent_start(Observation([0], mask=mask))
 
 
-def test_the_network_takes_its_preferred_legal_action(draw: Callable[..., Observation]) -> None:
+def test_the_network_takes_its_preferred_legal_action() -> None:
     seen = draw("          M          ", "#####################")
     mask = [True, True, False, True, False, True, True]  # not to the right, no jump
     masked = Observation(seen.ints, seen.doubles, seen.chars, mask=mask)

@@ -8,22 +8,22 @@ from typing import cast
 import numpy as np
 import pytest
 
-from agents.sarsa import Chooser, Learner, below, epsilon_greedy, mix, seeded, uniform
+from agents.sarsa import Learner, below, epsilon_greedy, mix, seeded, uniform
 from glue.compiled.records import Array, new
 
 DRAWS = 4000
 
 
-def chooser(epsilon: float, reduction: float = 1.0, cycles: int = 0) -> Chooser:
+def chooser(epsilon: float, reduction: float = 1.0, cycles: int = 0) -> Learner:
     learners: Array = new(Learner)
     learners["epsilon"] = epsilon
     learners["reduction"] = reduction
     learners["cycles"] = cycles
     learners["random"] = seeded(7)
-    return cast(Chooser, learners[0])
+    return cast(Learner, learners[0])
 
 
-def choices(chooser: Chooser, values: list[float]) -> Counter[int]:
+def choices(chooser: Learner, values: list[float]) -> Counter[int]:
     """Return how often each value is chosen; two more values lie beyond the count."""
     array = np.array([*values, 99.0, 99.0])
     return Counter(epsilon_greedy(chooser, array, len(values)) for _ in range(DRAWS))

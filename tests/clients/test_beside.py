@@ -9,7 +9,6 @@ import pytest
 
 from agents.baselines import SkeletonAgent
 from glue import PeerFailed, connect
-from glue.conform.clients.mirror import MirrorAgent, MirrorEnvironment
 from glue.engine.local import local
 from glue.roles import Environment
 from glue.types import Action, Observation, Step
@@ -79,71 +78,6 @@ def test_random_agent_takes_open_doors_only(language: Language) -> None:
     assert [action, *(step.action for step in steps)] == expected
     seen = [observation, *(step.observation for step in steps)]
     assert [one.extras for one in seen] == [{"doors.steps": number} for number in range(STEPS + 1)]
-
-
-class Fixed(Environment):
-    """Always the same observation, with everything beside it; its task spec promises nothing."""
-
-    env_masks = True
-    env_extras = True
-
-    seen = Observation(
-        [3, -5],
-        [0.5],
-        b"ab",
-        mask=[True, False, False, True, True, False, False, False, True],
-        extras={
-            "z.int": -(2**63),
-            "float": 0.25,
-            "text": "größer",
-            "bytes": b"\0\xff",
-            "ints": [1, -300, 2**62 + 1],
-            "floats": [0.5, -1.5],
-            "none": [],
-        },
-    )
-
-    def env_init(self) -> str:
-        return "no task spec"
-
-    def env_start(self) -> Observation:
-        return self.seen
-
-    def env_step(self, action: Action) -> Step:
-        return Step(1.0, self.seen, False)
-
-
-def test_agent_sees_the_mask_and_no_extras(language: Language) -> None:
-    agent = MirrorAgent()
-    expected = [agent.agent_start(Fixed.seen.without()), agent.agent_step(1.0, Fixed.seen.without())]
-
-    with (
-        hub_with(Fixed()) as url,
-        program((*language.programs["mirror"], "agent"), url),
-        connect(url) as glue,
-    ):
-        glue.rl_init()
-        observation, action = glue.rl_start()
-        step = glue.rl_step()
-
-    assert observation == step.observation == Fixed.seen
-    assert [action, step.action] == expected
-
-
-@pytest.mark.parametrize("ints", [[1, 0, -2, 4, 0, 0, 0, 0, 9], [], [1] * 8])
-def test_environment_sends_both(language: Language, ints: list[int]) -> None:
-    action = Action(ints, [0.5, -1.5], b"\0\xff&")
-    ours = MirrorEnvironment()
-    ours.env_init()
-    expected = ours.env_step(action).observation
-
-    mirror = (*language.programs["mirror"], "environment")
-    with hub_with(MirrorAgent()) as url, program(mirror, url), connect(url) as glue:
-        glue.rl_init()
-        observation = glue.rl_env_step(action).observation
-
-    assert (observation.packed_mask, observation.extras) == (expected.packed_mask, expected.extras)
-    assert observation.without(mask=True) == expected.without(mask=True)
 
 
 NOWHERE: Final = {

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final
 
@@ -13,8 +12,7 @@ import pytest
 
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
-from glue.hub.config import Bind, HubConfig
-from glue.hub.io.server import Hub
+from glue.hub.config import Bind
 from glue.keys.allowed import read_keys
 from tests.clients.languages import CPP, run
 from tests.clients.table import SECONDS, program, read_episodes, walked
@@ -38,13 +36,9 @@ class Keyed:
         self.secrets = {name: self.folder.entrant(name) for name in (*ROLES, "stranger")}
         self.folder.allow("\n".join(f'[{role}]\nrole = "{role}"\n' for role in ROLES))
 
-    @contextmanager
-    def hub(self) -> Iterator[str]:
+    def hub(self) -> AbstractContextManager[str]:
         """Run a hub that admits only the keys on its list; yield its URL."""
-        made = Hub(HubConfig(bind=(Bind("tcp://127.0.0.1:*", keys=read_keys(self.folder.path)),)))
-        with made.in_background():
-            yield made.endpoints[0]
-            made.stop("the test is over")
+        return hub_with(bind=Bind("tcp://127.0.0.1:*", keys=read_keys(self.folder.path)))
 
     def variables(self, name: str) -> dict[str, str]:
         """Return the environment variables by which a program finds its keys."""
@@ -60,7 +54,7 @@ def keyed(tmp_path: Path) -> Keyed:
 
 
 def test_all_roles_play_with_their_keys_and_go_on_when_connections_are_cut(keyed: Keyed) -> None:
-    with keyed.hub() as url, Proxy(int(url.rpartition(":")[2]), cuts=CUTS).in_background() as proxy:
+    with keyed.hub() as url, Proxy(url, CUTS).in_background() as proxy:
         commands = {role: CPP.programs[example] for role, example in ROLES.items()}
         experiment = [*commands["experiment"], str(EPISODES), str(SEED)]
         with (

@@ -157,9 +157,7 @@ def walks(start: Sequence[str]) -> None:
 
 
 @pytest.mark.slow
-def test_first_agent_of_the_page_walks(
-    language: Language, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_first_agent_walks(language: Language, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     walks(own_program(language, code_in(PAGE, language.name), tmp_path))
 

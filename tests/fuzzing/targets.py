@@ -103,8 +103,7 @@ def curve(data: bytes) -> None:
 
 def legacy(data: bytes) -> None:
     """Read what an original RL-Glue program might send."""
-    players = (codec_of_originals.FROM_AGENT, codec_of_originals.FROM_ENVIRONMENT)
-    for vocabulary in (codec_of_originals.HANDSHAKE, codec_of_originals.FROM_EXPERIMENT, *players):
+    for vocabulary in (codec_of_originals.HANDSHAKE, *codec_of_originals.FROM.values()):
         decoder = codec_of_originals.Decoder(vocabulary)
         try:
             for piece in _pieces(data):

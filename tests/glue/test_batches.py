@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -105,8 +106,9 @@ def test_task_spec_of_a_batch_holds_that_of_each_game() -> None:
 
 
 class CuttingEnvironment(ScriptedEnvironment):
-    def env_truncated(self) -> bool:
-        return True
+    def env_step(self, action: Action) -> Any:
+        reward, observation, terminal = super().env_step(action)
+        return Step(reward, observation, terminal, terminal)
 
 
 class Vector(ActingInAll):

@@ -121,20 +121,6 @@ def test_build_without_options_takes_the_defaults() -> None:
     assert build(Walk, {}).made_of == DEFAULTS
 
 
-@given(st.integers(2, 1000), st.floats(0, 1), st.text(), st.booleans(), st.integers(0))
-def test_build_hands_values_over_unchanged(
-    length: int, step_size: float, name: str, torus: bool, seed: int
-) -> None:
-    options: dict[str, int | float | str | bool] = {
-        "length": length,
-        "step_size": step_size,
-        "name": name,
-        "torus": torus,
-        "seed": seed,
-    }
-    assert build(Walk, options).made_of == (length, step_size, 0.0, name, "middle", torus, seed, None)
-
-
 def test_bounds_include_their_ends() -> None:
     for length in (2, 1000):
         assert build(Walk, {"length": length}).made_of[0] == length

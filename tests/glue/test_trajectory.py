@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 import resource
 import struct
 import tracemalloc
@@ -30,6 +31,7 @@ from glue.trajectory import (
     Transition,
     limits,
 )
+from glue.trajectory.comparison import Outcomes, compare
 from glue.types import Action, Observation
 from tests.pages import DOCS, blocks
 
@@ -73,32 +75,23 @@ def run_record(**changes: object) -> bytes:
     return text_record(b"R", json.dumps(fields | changes))
 
 
-def test_written_episodes_are_read_back(tmp_path: Path) -> None:
-    path = tmp_path / "a.traj"
-    with TrajectoryWriter(path) as recording:
+def test_what_stands_beside_and_between_is_read_back(tmp_path: Path) -> None:
+    """What random recordings leave out: masks and extras, signs of zeros, messages within an episode."""
+    full = Observation([1], mask=[True, False], extras={"coins": 3, "way": [0.5]})
+    with TrajectoryWriter(tmp_path / "a") as recording:
         recording.run(RUN)
-        recording.start(observation(1))
-        recording.step(Action([2], [0.5], b"x"), -0.0, observation(3), False)
-        recording.step(Action(), 1e300, observation(4), True)
-        recording.message("level 3")
-        recording.start(observation(5))
+        recording.start(full)
         recording.message("to the next episode")
-        recording.cutoff()
-        recording.run(Run("", {}, "", None, b"\x00\xff"))
-        recording.start(observation(6))
-        recording.void()
-        recording.start(observation(7))
-    first, second, third, fourth = read(path)
-    assert (first.run, first.messages, first.start) == (RUN, (), observation(1))
-    assert first.steps == (
-        Transition(Action([2], [0.5], b"x"), -0.0, observation(3), False),
-        Transition(Action(), 1e300, observation(4), True),
-    )
+        recording.step(Action(), -0.0, full, terminal=True)
+        recording.start(observation(1))
+        recording.message("to an episode of this run")
+        recording.run(RUN)
+        recording.start(observation(2))
+    first, second, third = read(tmp_path / "a")
+    assert (first.messages, first.start, first.steps[0].observation) == ((), full, full)
     assert str(first.steps[0].reward) == "-0.0"
-    assert first.ending is Ending.TERMINAL
-    assert (second.messages, second.ending) == (("level 3",), Ending.CUTOFF)
-    assert (third.run.state, third.messages, third.ending) == (b"\x00\xff", (), Ending.VOID)
-    assert (fourth.start, fourth.ending) == (observation(7), Ending.VOID)
+    assert (second.messages, second.ending) == (("to the next episode",), Ending.CUTOFF)
+    assert (third.messages, third.ending) == ((), Ending.VOID)
 
 
 bodies = st.tuples(
@@ -116,17 +109,6 @@ runs = st.builds(
     st.none() | st.integers(0, 2**63 - 1),
     st.binary(max_size=20),
 )
-
-
-def test_what_stands_beside_observations_is_recorded(tmp_path: Path) -> None:
-    full = Observation([1], mask=[True, False], extras={"coins": 3, "way": [0.5]})
-    path = tmp_path / "a.traj"
-    with TrajectoryWriter(path) as recording:
-        recording.run(RUN)
-        recording.start(full)
-        recording.step(Action([1]), 0.5, full, terminal=True)
-    (episode,) = read(path)
-    assert (episode.start, episode.steps[0].observation) == (full, full)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
@@ -703,3 +685,29 @@ def test_a_mark_without_a_step_is_refused(tmp_path: Path, records: bytes) -> Non
 
     with pytest.raises(TrajectoryError, match=r"where a step is to follow|ends inside a record"):
         read(write_stream(tmp_path / "wrong.traj", run, start, records))
+
+
+# The comparison that replays of all recordings share
+
+RECORDED = Outcomes(np.array([1.0, 0.0, math.nan]), True)
+
+
+@pytest.mark.parametrize(
+    ("rewards", "terminal", "step"),
+    [
+        ([1.0, 0.0, math.nan], True, None),
+        ([1.0, -0.0, math.nan], True, 1),
+        ([1.0, 0.0, 2.0], True, 2),
+        ([1.0, 0.0, math.nan], False, 2),
+        ([1.0, 0.0], True, 1),
+        ([], False, -1),
+    ],
+)
+def test_the_first_step_that_differs_is_found(rewards: list[float], terminal: bool, step: int | None) -> None:
+    found = compare(RECORDED, Outcomes(np.array(rewards, np.float64), terminal))
+    assert (found and found[0]) == step
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_an_end_that_the_recording_leaves_open_is_not_compared(terminal: bool) -> None:
+    assert compare(RECORDED._replace(terminal=None), RECORDED._replace(terminal=terminal)) is None

@@ -171,9 +171,8 @@ def test_observation_is_no_action() -> None:
 # Limits and mistakes
 
 
-@pytest.mark.parametrize(
-    ("ints", "error"),
-    [
+WRONG: dict[str, list[tuple[Any, str]]] = {
+    "ints": [
         ([0, INT32_MAX + 1], "from -2147483648 to 2147483647; number 1 is 2147483648"),
         ([INT32_MIN - 1], "number 0 is -2147483649"),
         ([1.0], "number 0 is 1.0"),
@@ -189,15 +188,7 @@ def test_observation_is_no_action() -> None:
         (np.zeros((2, 3), np.int32), r"one dimension, not the shape \(2, 3\)"),
         (np.zeros((2, 3), np.int64), r"one dimension, not the shape \(2, 3\)"),
     ],
-)
-def test_wrong_ints_are_a_local_error(ints: Any, error: str) -> None:
-    with pytest.raises(LocalProtocolError, match=f"^ints .*{error}"):
-        Action(ints)
-
-
-@pytest.mark.parametrize(
-    ("doubles", "error"),
-    [
+    "doubles": [
         ([0.5, "1"], "number 1 is '1'"),
         ([None], "number 0 is None"),
         ([1j], "number 0 is 1j"),
@@ -207,10 +198,15 @@ def test_wrong_ints_are_a_local_error(ints: Any, error: str) -> None:
         (np.array([1.0], object), "an array of object"),
         (np.zeros((2, 3)), r"one dimension, not the shape \(2, 3\)"),
     ],
+}
+
+
+@pytest.mark.parametrize(
+    ("run", "numbers", "error"), [(run, *wrong) for run, rows in WRONG.items() for wrong in rows]
 )
-def test_wrong_doubles_are_a_local_error(doubles: Any, error: str) -> None:
-    with pytest.raises(LocalProtocolError, match=f"doubles .*{error}"):
-        Action(doubles=doubles)
+def test_wrong_numbers_are_a_local_error(run: str, numbers: Any, error: str) -> None:
+    with pytest.raises(LocalProtocolError, match=f"{run} .*{error}"):
+        Action(**{run: numbers})
 
 
 @pytest.mark.parametrize("chars", ["abc", 3, [97], bytearray(b"abc"), memoryview(b"abc"), None])

@@ -12,7 +12,6 @@ from typing import Final
 import pytest
 
 import glue
-from tests.house.imports import MAY_IMPORT
 from tests.pages import DOCS, PAGES, ROOT, dangling, rows
 
 SECURITY: Final = (DOCS / "security.md").read_text("utf-8")
@@ -34,11 +33,6 @@ def test_folders_and_files_of_the_architecture_are_there() -> None:
     )
     assert len(named) > 30
     assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
-
-
-def test_every_folder_of_glue_is_explained() -> None:
-    folders = {name for name in MAY_IMPORT if name.split("/")[0] == "glue"} - {"glue/__init__"}
-    assert folders <= {row[0].strip("`/") for row in rows(ARCHITECTURE, "| folder |")}
 
 
 def test_every_extra_that_is_for_users_is_listed_once() -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import zmq
 
 from glue.client.libzmq import Context
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.messages import Kind, Message
+from glue.wire.messages import Message
 
 _TIMEOUT: Final = 30.0
 
@@ -38,18 +38,11 @@ class ScriptedHub:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
         """End every connection without a goodbye, and free everything."""
         self._socket.close()
         self._context.term()
 
     # Frames
-
-    def can_receive(self, seconds: float) -> bool:
-        """Return whether a message comes within some seconds."""
-        return bool(self._socket.poll(int(seconds * 1000)))
 
     def receive_frames(self) -> list[bytes]:
         """Return the frames of the next message."""
@@ -67,20 +60,6 @@ class ScriptedHub:
         for message in messages:
             self.send_frames(*encode(message, FROM_HUB))
 
-    def deliver(self, route: bytes, message: Message) -> bool:
-        """Send a message over any connection; return False if it has ended."""
-        try:
-            self._socket.send_multipart([route, *encode(message, FROM_HUB)], zmq.DONTWAIT)
-        except zmq.ZMQError:
-            return False
-        return True
-
     def next(self) -> Message:
         """Return the next message, of whatever kind."""
         return decode(self.receive_frames(), TO_HUB)
-
-    def say(
-        self, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "default"
-    ) -> None:
-        """Send a message."""
-        self.send(Message(kind, session, seq, scalars, body))

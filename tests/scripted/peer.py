@@ -224,13 +224,6 @@ class ScriptedPeer:
             pass
         return message
 
-    def error(self) -> tuple[str, str]:
-        """Return the code and the text of the next message, which must be an error or a refusal."""
-        message = self.receive()
-        assert message.kind in (Kind.ERROR, Kind.REFUSE), message
-        code, text = map(str, message.scalars)
-        return code, text
-
     def hello(self, role: str, *, session: str | None = None, abilities: tuple[str, ...] = ()) -> None:
         """Send HELLO, always as the same instance."""
         scalars = hello_scalars(role, abilities=abilities, instance=self._instance)

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from experiment_runner.cli.compete import compete
-from experiment_runner.competition.season import service
+from experiment_runner.competition.season.server import Server
 from glue.cli.shared import run
 
 DAY: Final = 20.0
@@ -26,8 +26,8 @@ def main() -> None:
     def now() -> datetime:
         return datetime.fromtimestamp(began + (time.time() - began) * 86_400 / DAY, UTC)
 
-    assert service.serve.__kwdefaults__ is not None
-    service.serve.__kwdefaults__["now"] = now
+    assert Server.__init__.__kwdefaults__ is not None
+    Server.__init__.__kwdefaults__["now"] = now
     run(compete)
 
 

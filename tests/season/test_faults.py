@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import time
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,6 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.match import Match
 from experiment_runner.competition.season.control import Attempt, Enrol, ask
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.season.worker import MODULE, REPORTS
 from experiment_runner.competition.settings import Entrant
 from experiment_runner.competition.trials import trials
@@ -38,14 +36,16 @@ name = "spring"
 trials = 6
 seed_file = "secret.txt"
 [season]
-opens = {opens}
-closes = {closes}
+opens = 2020-01-01T00:00:00
+closes = 2100-01-01T00:00:00
 enrol = "closed"
 parallel = 2
 [tasks]
-mines = {{ env = "mines", options.random_start = true, steps = 200, phase = "proving" }}
-"""
-_ENTRANT = '[entrants.walk{number}]\ncommand = ["{python}", "-m", "tests.season.walk"]\n'
+mines = { env = "mines", options.random_start = true, steps = 200, phase = "proving" }
+""" + "".join(
+    f'[entrants.walk{number}]\ncommand = ["{sys.executable}", "-m", "tests.season.walk"]\n'
+    for number in range(3)
+)
 
 
 def over(directory: Path) -> set[str]:
@@ -56,11 +56,7 @@ def over(directory: Path) -> set[str]:
 @pytest.mark.timeout(600)
 def test_a_full_disk_stops_the_server_and_nothing_that_is_over_is_lost(tmp_path: Path) -> None:
     """A limit on file sizes simulates the full disk: of a record, of the database, of the journal or seal."""
-    now = datetime.now(UTC)
-    times = {"opens": now - timedelta(days=1), "closes": now + timedelta(days=1)}
-    text = _FILE.format(**{key: time.isoformat(timespec="seconds") for key, time in times.items()})
-    text += "".join(_ENTRANT.format(number=number, python=sys.executable) for number in range(3))
-    (tmp_path / "spring.toml").write_text(text)
+    (tmp_path / "spring.toml").write_text(_FILE)
     (tmp_path / "secret.txt").write_text("xyzzy")
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     serve = f"exec {BIN / 'glue-compete'} serve spring.toml --out run"
@@ -78,7 +74,7 @@ def test_a_full_disk_stops_the_server_and_nothing_that_is_over_is_lost(tmp_path:
     server = subprocess.Popen(["sh", "-c", serve], cwd=tmp_path, env=environment)
 
     def done() -> bool:
-        attempts = SeasonState.of(course_of(tmp_path / "run")).attempts("over")
+        attempts = course_of(tmp_path / "run").state.attempts("over")
         return {one.entrant for one in attempts} == {"walk0", "walk1", "walk2"}
 
     try:

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -29,7 +29,7 @@ pytest.importorskip("uvicorn", reason="needs uvicorn: pip install 'glue-rl[web]'
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
 from experiment_runner.competition.season.control import NoServer, ask
-from experiment_runner.competition.season.state import SeasonState
+from experiment_runner.competition.state import State
 from experiment_runner.store.results import Results
 from glue.client.libzmq import new_pair
 from glue.client.players import serve_agent
@@ -39,7 +39,10 @@ from glue.errors import GlueError, HubUnreachable
 from glue.keys.certificates import encode, write_pair
 from tests import forked
 from tests.experiment_runner.competition.players import Walker
+from tests.ports import ports
 from tests.system.runs import wait_until
+
+__all__ = ["ports"]
 
 ROOT: Final = Path(__file__).parents[2]
 KILLS: Final = 10
@@ -59,20 +62,34 @@ start_seconds = 20
 step_seconds = 0.5
 bank_seconds = 10
 [season]
-opens = {opens}
-closes = {closes}
+opens = 2020-01-01T00:00:00
+closes = 2100-01-01T00:00:00
 enrol = "code"
 code_file = "code.txt"
 attempts_per_day = 2
 parallel = 6
 failures = 2
 [tasks]
-mines = {{ env = "mines", options.random_start = true, steps = 200, {phase} }}
-short = {{ env = "mines", options.random_start = true, episodes = 2, max_steps = 50, {phase} }}
-[entrants.walk]
-command = ["{python}", "-m", "tests.season.walk"]
+mines = { env = "mines", options.random_start = true, steps = 200, phase = "proving" }
+short = { env = "mines", options.random_start = true, episodes = 2, max_steps = 50, phase = "proving" }
 """
-LATE: Final = '[entrants.late]\ncommand = ["{python}", "-m", "tests.season.walk"]\n'
+WALK, LATE = (
+    f'[entrants.{name}]\ncommand = ["{sys.executable}", "-m", "tests.season.walk"]\n'
+    for name in ("walk", "late")
+)
+
+
+ADDED: Final = 4
+ACTS: Final[dict[int, tuple[str, int, list[str]]]] = {
+    2: (HONEST[0], 0, ["grant", HONEST[0], "1"]),
+    3: ("crash1", 0, ["exclude", "crash1"]),
+    ADDED: ("walk", 0, ["add", "late.toml"]),
+    5: ("walk", 0, ["freeze"]),
+    6: ("walk", 1, ["rerun", "walk"]),
+    7: ("walk", 1, ["announce", "Lunch is at noon"]),
+    8: (HONEST[1], 1, ["rerun", HONEST[1]]),
+}
+"""What the organiser does after a kill, once an entrant has so many attempts that are over."""
 
 
 class Crashing(Walker):
@@ -89,27 +106,20 @@ class Hanging(Walker):
 class Held:
     """A season, its server's process, and what its organiser types."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, port: int) -> None:
         self.folder = folder
         self.directory = folder / "run"
         self.began = time.time()
         self.over = Event()
         self.log = folder / "server.log"
-        self.page = _free_ports(7)
-        self.hub = self.page + 1
+        self.page, self.hub = port, port + 1
         self.url = f"http://127.0.0.1:{self.page}"
         write_pair(folder / "keys", "hub", new_pair())
         for name, text in (("secret.txt", "xyzzy"), ("code.txt", "lemonade")):
             (folder / name).write_text(text)
             (folder / name).chmod(0o600)
-        opens = datetime.fromtimestamp(self.began, UTC) - timedelta(hours=1)
-        self.text = FILE.format(
-            opens=opens.isoformat(timespec="seconds"),
-            closes=(opens + timedelta(days=60)).isoformat(timespec="seconds"),
-            phase='phase = "proving"',
-            python=sys.executable,
-        )
-        (folder / "spring.toml").write_text(self.text)
+        (folder / "spring.toml").write_text(FILE + WALK)
+        (folder / "late.toml").write_text(FILE + WALK + LATE)
         self.server = self.start()
 
     def start(self) -> subprocess.Popen[bytes]:
@@ -165,24 +175,13 @@ class Held:
         membership.write(file)
         return file
 
-    def state(self) -> SeasonState:
-        return SeasonState.of(course_of(self.directory))
+    def state(self) -> State:
+        return course_of(self.directory).state
 
     def board(self) -> SeasonBoard:
         now = datetime.fromtimestamp(self.began, UTC)
         with Results.open(self.directory) as results:
             return season_board(results, course_of(self.directory), now, ORGANISER)
-
-
-def _free_ports(count: int) -> int:
-    """Return the first of some ports in a row that are free now."""
-    chance = random.Random(os.getpid())
-    while True:
-        first = chance.randrange(20_000, 30_000)
-        with suppress(OSError):
-            for port in range(first, first + count):
-                socket.create_server(("127.0.0.1", port)).close()
-            return first
 
 
 def read(file: Path) -> Season:
@@ -269,9 +268,9 @@ def programs(folder: Path) -> dict[str, list[str]]:
 
 
 @pytest.mark.timeout(1200)
-def test_a_season_of_some_days(tmp_path: Path) -> None:
+def test_a_season_of_some_days(tmp_path: Path, ports: int) -> None:
     commands = programs(tmp_path)
-    held = Held(tmp_path)
+    held = Held(tmp_path, ports)
     held.wait_for_server()
     players: dict[str, Callable[[], int]] = {
         **{name: partial(play, held, name, Walker, 3) for name in HONEST},
@@ -285,15 +284,6 @@ def test_a_season_of_some_days(tmp_path: Path) -> None:
         "flood": partial(flood, held),
         "pose": partial(pose, held),
     }
-    acts = {
-        2: lambda: held.act("grant", HONEST[0], "1"),
-        3: lambda: held.act("exclude", "crash1"),
-        4: lambda: late(held),
-        5: lambda: held.act("freeze"),
-        6: lambda: held.act("rerun", "walk"),
-        7: lambda: held.act("announce", "Lunch is at noon"),
-        8: lambda: held.act("rerun", HONEST[1]),
-    }
     chance = random.Random(5)
     with ThreadPoolExecutor(len(players)) as threads:
         playing = {name: threads.submit(one) for name, one in players.items()}
@@ -301,9 +291,12 @@ def test_a_season_of_some_days(tmp_path: Path) -> None:
             for kill in range(KILLS):
                 time.sleep(chance.uniform(0, LONGEST_LIFE))
                 held.kill()
-                if kill in acts:
-                    wait_until(partial(done_by, held, *_FIRST[kill]), "what the act is about")
-                    acts[kill]()
+                if kill in ACTS:
+                    name, count, act = ACTS[kill]
+                    wait_until(partial(done_by, held, name, count), "what the act is about")
+                    held.act(*act)
+                if kill == ADDED:
+                    (tmp_path / "spring.toml").write_text(FILE + WALK + LATE)
             ends = [name for name in players if name not in ("flood", "pose")]
             verified = {name: playing[name].result(600) for name in ends}
         finally:
@@ -320,28 +313,9 @@ def test_a_season_of_some_days(tmp_path: Path) -> None:
     check_scores(held, tmp_path)
 
 
-_FIRST: Final = {
-    2: (HONEST[0], 0),
-    3: ("crash1", 0),
-    4: ("walk", 0),
-    5: ("walk", 0),
-    6: ("walk", 1),
-    7: ("walk", 1),
-    8: (HONEST[1], 1),
-}
-"""The entrant, and the number of its attempts that are over, after which each act can be."""
-
-
 def done_by(held: Held, name: str, count: int) -> bool:
     entrant = held.state().entrants.get(name)
     return entrant is not None and sum(one.state == "over" for one in entrant.attempts.values()) >= count
-
-
-def late(held: Held) -> None:
-    text = held.text + LATE.format(python=sys.executable)
-    (held.folder / "late.toml").write_text(text)
-    held.act("add", "late.toml")
-    (held.folder / "spring.toml").write_text(text)
 
 
 def check_log(held: Held) -> None:
@@ -370,7 +344,7 @@ def check_board(held: Held) -> None:
 
 def check_scores(held: Held, folder: Path) -> None:
     """An honest entrant has, to the last bit, the scores of a competition held at once."""
-    lines = held.text.partition("[season]")[0] + "[tasks]" + held.text.partition("[tasks]")[2]
+    lines = FILE.partition("[season]")[0] + "[tasks]" + FILE.partition("[tasks]")[2] + WALK
     (folder / "once.toml").write_text(lines.replace(', phase = "proving"', ""))
     held.type("run", "once.toml", "--out", "once")
     held.type("verify", "once")

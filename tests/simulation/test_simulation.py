@@ -8,7 +8,6 @@ import pytest
 
 from tests.proof import size
 from tests.simulation.__main__ import many
-from tests.simulation.diagram import diagram
 from tests.simulation.faults import Fault
 from tests.simulation.mutants import MUTANTS, ROOT, Mutant, first_seed
 from tests.simulation.run import simulate
@@ -86,13 +85,6 @@ def test_a_seed_is_always_the_same_run() -> None:
 
     assert one.trace == other.trace
     assert one.faults == other.faults
-
-
-def test_the_diagram_shows_faults_and_messages() -> None:
-    lines = list(diagram(simulate(4, trace=True).trace))
-
-    assert any("***" in line for line in lines)
-    assert any("HELLO" in line for line in lines)
 
 
 def test_every_mistake_can_be_made() -> None:

@@ -16,21 +16,19 @@ _QUIT, _SHUT, _OPEN, _CUT = b"q", b"s", b"o", b"c"
 
 
 class Proxy:
-    """Passes bytes on to another port of this machine.
+    """Passes bytes on to a hub of this machine.
 
     Args:
-        port: the other port.
+        hub: its TCP address.
         cuts: number of times that all connections are reset, each after a few thousand bytes.
         seed: seed of the numbers of bytes between these cuts.
-        piece: maximum number of bytes passed on at once; each piece is a segment of its own.
 
     Attributes:
         accepted: number of connections since the last `cut`.
     """
 
-    def __init__(self, port: int, cuts: int = 0, seed: int = 0, piece: int = 4096) -> None:
-        self._target = port
-        self._piece = piece
+    def __init__(self, hub: str, cuts: int = 0, seed: int = 0) -> None:
+        self._target = int(hub.rpartition(":")[2])
         self._left = cuts
         self.accepted = 0
         self._limits: deque[int] = deque()
@@ -130,8 +128,7 @@ class Proxy:
             self._may_say[source] = may_say - len(data)
         passed = data[: self._until_cut] if self._left else data[:may_say]
         with suppress(OSError):  # this direction has no reader any more; the other one is still passed on
-            for at in range(0, len(passed), self._piece):
-                self._partner[source].sendall(passed[at : at + self._piece])
+            self._partner[source].sendall(passed)
         if may_say is not None and len(data) >= may_say:
             self._close(source)
         if self._left:

@@ -337,23 +337,14 @@ def test_json_whose_reader_has_seen_enough_ends_without_complaint(
     assert "Error" not in shown.stderr
 
 
-SHADOWS = ("agents", "env_server", "glue", "random", "numpy", "zmq", "click", "numba", "typing")
-
-
-@pytest.fixture
-def shadowed(tmp_path: Path) -> Path:
-    """A working directory with files named like modules that everything depends on."""
-    for module in SHADOWS:
+def test_file_in_the_working_directory_takes_no_modules_place(tmp_path: Path) -> None:
+    for module in ("agents", "env_server", "glue", "random", "numpy", "zmq", "click", "numba", "typing"):
         (tmp_path / f"{module}.py").write_text("raise AssertionError(__file__)", encoding="utf-8")
     (tmp_path / "beside.py").write_text("ACTION = 0", encoding="utf-8")
     (tmp_path / "mine.py").write_text(f"import beside\n{_ENDLESS}", encoding="utf-8")
-    return tmp_path
-
-
-def test_file_in_the_working_directory_takes_no_modules_place(shadowed: Path) -> None:
     # In three processes: the command, and two modules of ours.
     players = ("--env", "mine.py:Endless", "--agent", "mine:Patient")
-    ended = run_anew("glue-experiment", *players, "--episodes", "2", "--max-steps", "20", cwd=shadowed)
+    ended = run_anew("glue-experiment", *players, "--episodes", "2", "--max-steps", "20", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
 
 
@@ -424,15 +415,10 @@ MISTAKES = {
         "glue-watch --agent random --env mines --random-start",
         "--env-option random_start=on",
     ),
-    "a misspelt option": (
-        "glue-experiment --env mines --agent sarsa --episodes 1 --agent-option stepsize=1",
-        "did you mean step_size",
-    ),
     "an address open to others": ("glue-hub --bind tcp://0.0.0.0:4999", "--insecure"),
     "a key without that of the hub": ("glue-agent random --key own", "(--hub-key)"),
     "no key, of a subcommand": ("glue-compete board . --signed-by nowhere", "(--signed-by)"),
     "two options at once": ("glue-hub --legacy-port 0.0.0.0:4096", "(--legacy-port, --insecure)"),
-    "a file that is not there": ("glue-agent nowhere.py:Agent", "no file nowhere.py"),
 }
 
 

@@ -22,7 +22,7 @@ from glue.client.players import serve_agent, serve_environment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.types import Action, Observation
-from glue.wire.messages import Kind
+from glue.wire.messages import Kind, Message
 from tests.players import SeededAgent, SeededEnvironment
 from tests.scripted.hub import ScriptedHub
 from tests.scripted.peer import TIMEOUT, ScriptedPeer
@@ -120,7 +120,7 @@ def test_todays_peers_answer_the_first_hub_to_the_byte() -> None:
             else:
                 assert frames == event.frames
         for role in ("agent", "environment"):
-            hubs[role].say(Kind.GOODBYE, 0, "over")
+            hubs[role].send(Message(Kind.GOODBYE, "default", 0, ("over",)))
 
 
 def start(role: str, url: str) -> threading.Thread:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
@@ -13,12 +12,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
-import zmq
 
 from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import RemoteExperiment, connect
-from glue.client.libzmq import Context
-from glue.client.players import serve_agent, serve_environment
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import HubClosed, PeerLost
@@ -26,6 +22,7 @@ from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.types import Action, Step
 from tests.forked import Recorded
+from tests.hubs import serving
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.proof import size
 from tests.scripted.peer import TIMEOUT
@@ -34,30 +31,6 @@ from tests.system.proxy import Proxy
 
 EPISODES = 4
 HEARTBEAT = 0.1
-
-
-@contextmanager
-def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
-    """Serve an agent or environment in a thread, over libzmq's DEALER; the hub must end before this does."""
-    serve = serve_agent if hasattr(player, "agent_init") else serve_environment
-    context: Context = zmq.Context()
-
-    def program() -> None:
-        serve(player, hub, session, context=context)
-
-    thread = threading.Thread(target=program)
-    thread.start()
-    try:
-        yield
-    finally:
-        thread.join(TIMEOUT)
-        context.destroy(linger=0)
-        assert not thread.is_alive()
-
-
-def port(hub: Hub) -> int:
-    """Return the TCP port of a hub."""
-    return int(hub.endpoints[0].rpartition(":")[2])
 
 
 class Processes:
@@ -168,16 +141,10 @@ CASES = {
 """For each role that a fault strikes: its player, the partner, the partner's call, and the first calls."""
 
 
-def beginning(glue: Experiment, role: str) -> list[str]:
-    """Return the names of the first three calls that the player of `role` has had."""
+def calls(glue: Experiment, role: str) -> list[str]:
+    """Return the names of the calls that the player of `role` has had."""
     ask = glue.rl_agent_message if role == "agent" else glue.rl_env_message
-    return [call.split()[0] for call in ask("calls").splitlines()[:3]]
-
-
-def count(glue: Experiment, role: str, call: str) -> int:
-    """Return how often the player of `role` has had `call`."""
-    ask = glue.rl_agent_message if role == "agent" else glue.rl_env_message
-    return sum(line.startswith(call) for line in ask("calls").splitlines())
+    return [call.split()[0] for call in ask("calls").splitlines()]
 
 
 @pytest.mark.parametrize("role", CASES)
@@ -193,14 +160,14 @@ def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role
         assert f"the {role} Telling" in void[0]
         assert run.notices[-2:] == [("lost", role), ("joined", role)]
         assert glue.rl_num_episodes() == EPISODES
-        assert beginning(glue, role) == first_calls.split()
+        assert calls(glue, role)[:3] == first_calls.split()
 
 
 @pytest.mark.parametrize("role", CASES)
 def test_a_player_cut_off_for_longer_than_the_timeout_returns_as_it_was(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
     run = Run(timeout=1.0)
-    proxy = Proxy(port(run.hub))
+    proxy = Proxy(run.hub.endpoints[0])
     shut = At(moment, 5, proxy.shut)
     with proxy.in_background(), run.experiment(role, player, partner(before=shut), proxy.url) as (glue, _):
         run.on_notice["lost"] = proxy.open
@@ -208,8 +175,9 @@ def test_a_player_cut_off_for_longer_than_the_timeout_returns_as_it_was(role: st
         assert len(play(glue)) == 1
         assert run.notices[-2:] == [("lost", role), ("returned", role)]
         assert glue.rl_num_episodes() == EPISODES
-        assert beginning(glue, role) == first_calls.split()
-        assert count(glue, role, first_calls.split()[1]) == 1, "it was not initialised again"
+        had, first = calls(glue, role), first_calls.split()
+        assert had[:3] == first
+        assert had.count(first[1]) == 1, "it was not initialised again"
 
 
 def chain(glue: Experiment, episodes: int) -> list[float]:
@@ -238,7 +206,7 @@ def play_over_cuts(cuts: int, seed: int) -> None:
     expected = chain(local(ChainAgent(), ChainEnvironment()), episodes)
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=60.0, greeting=60.0))
     with hub.in_background():
-        proxy = Proxy(port(hub), cuts=cuts, seed=seed)
+        proxy = Proxy(hub.endpoints[0], cuts, seed)
         with (
             proxy.in_background(),
             Processes(proxy.url, "agent", "tests.players:ChainAgent"),
@@ -276,8 +244,8 @@ def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
             with connect(url) as after:
                 after.rl_init()
                 assert after.rl_episode()
-                assert count(after, "agent", "agent_init") == 2, "the same process as before"
-                assert count(after, "environment", "env_init") == 2
+                assert calls(after, "agent").count("agent_init") == 2, "the same process as before"
+                assert calls(after, "environment").count("env_init") == 2
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

@@ -11,7 +11,6 @@ from typing import Final
 
 import pytest
 
-from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import connect
 from glue.conform.clients.judge import judge
 from glue.conform.clients.process import ClientProcess
@@ -82,17 +81,6 @@ def table_for(agent: Program, environment: Environment) -> Iterator[Experiment]:
     url = hub.endpoints[0]
     with running([*agent, url]), serving(url, environment), hub.in_background(), connect(url) as glue:
         yield glue
-
-
-def test_agent_walks_the_skeleton_environment(agent: Program) -> None:
-    with table_for(agent, SkeletonEnvironment()) as glue:
-        assert glue.rl_init(seed=1).startswith("VERSION RL-Glue-3.0")
-        assert [glue.rl_episode(max_steps) for max_steps in (0, 100, 5)] == [True, True, False]
-        assert (glue.rl_num_episodes(), glue.rl_num_steps(), glue.rl_return()) == (2, 5, 0.0)
-        said = glue.rl_agent_message("how was it?")
-        glue.rl_cleanup()
-
-    assert said == "2 episodes, 2 in all; last seen: 1 ints, 0 doubles that sum to 0, 0 chars"
 
 
 def test_agent_reads_all_three_runs_and_the_rewards(agent: Program) -> None:

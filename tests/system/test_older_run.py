@@ -12,33 +12,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-import pytest
-
 from tests.forked import run
 from tests.system.runs import contents, unpack_older_runs
 
 TRIALS: Final = ("sarsa/mines/0", "sarsa/mines/1")
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def test_it_can_be_read_and_goes_on_from_its_checkpoint_to_the_same_end(tmp_path: Path) -> None:
     unpack_older_runs(tmp_path)
-    return tmp_path
-
-
-def test_its_episodes_can_be_read(folder: Path) -> None:
-    killed, undisturbed = contents(folder / "killed"), contents(folder / "undisturbed")
+    killed, undisturbed = contents(tmp_path / "killed"), contents(tmp_path / "undisturbed")
     for trial, stored in zip(TRIALS, (40, 15), strict=True):
         assert killed[trial][0] == undisturbed[trial][0][:stored]
-    shown = run("glue-results", "show", "killed", cwd=folder)
-    assert shown.returncode == 0, shown.stderr
-    assert "glue-rl 0.1.0" in shown.stdout
-
-
-def test_it_goes_on_from_its_checkpoint_to_the_same_end(folder: Path) -> None:
-    resumed = run("glue-experiment", "--resume", "killed", "--in-process", cwd=folder)
+    resumed = run("glue-experiment", "--resume", "killed", "--in-process", cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     assert "after episode 10" in resumed.stderr + resumed.stdout
-    killed, undisturbed = contents(folder / "killed"), contents(folder / "undisturbed")
+    killed = contents(tmp_path / "killed")
     for trial in TRIALS:
         assert killed[trial][0] == undisturbed[trial][0]
+    assert "glue-rl 0.1.0" in run("glue-results", "show", "killed", cwd=tmp_path).stdout

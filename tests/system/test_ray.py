@@ -14,7 +14,6 @@ import pytest
 
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.season.control import ask
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from tests import forked
@@ -119,7 +118,7 @@ def test_a_season_lets_attempts_play_on_the_cluster(cluster: str, tmp_path: Path
 
     def played() -> bool:
         with suppress(ExperimentError):
-            return len(SeasonState.of(course_of(tmp_path / "run")).attempts("over")) == 2
+            return len(course_of(tmp_path / "run").state.attempts("over")) == 2
         return False
 
     try:

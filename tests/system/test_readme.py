@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glue.testing import check_agent
 from tests.forked import run
 from tests.pages import ROOT, blocks, run_block
 from tests.terminal import Terminal
@@ -87,15 +86,3 @@ def test_script_runs_an_experiment_and_reads_its_results(tmp_path: Path) -> None
     *episodes, mean = run_block(SCRIPT, tmp_path).stdout.splitlines()
     assert len(episodes) == 100
     assert np.isfinite(float(mean))
-
-
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_agent_of_the_text_keeps_the_contract(program: str) -> None:
-    names: dict[str, type] = {}
-    exec(program, names)
-    (agent,) = [value for name, value in names.items() if name in re.findall(r"^class (\w+)", program, re.M)]
-    check_agent(
-        agent,
-        "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 99) "
-        "ACTIONS INTS (-1 1) (2 0 1) REWARDS (-10 100) EXTRA",
-    )

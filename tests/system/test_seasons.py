@@ -7,12 +7,11 @@ import re
 import shlex
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,22 +19,15 @@ import pytest
 
 from experiment_runner.cli.compete import compete
 from tests.pages import DOCS, RUNS, Block, blocks, run_block
+from tests.ports import ports
 from tests.system.runs import wait_until
+
+__all__ = ["ports"]
 
 BACKGROUND: Final = "runs in the background"
 UNIT: Final = DOCS / "examples" / "season" / "glue-season.service"
 COMPOSE: Final = DOCS.parent / "docker" / "season.yaml"
 SLOTS: Final = 4
-
-
-def free_ports() -> int:
-    """Return the first of `SLOTS` + 1 ports that are free, one after the other."""
-    for first in range(20_000, 60_000, 10):
-        with ExitStack() as stack, suppress(OSError):
-            for port in range(first, first + SLOTS + 1):
-                stack.enter_context(socket.create_server(("127.0.0.1", port)))
-            return first
-    raise AssertionError("no ports are free")
 
 
 def text_of(page: str, port: int) -> str:
@@ -79,10 +71,10 @@ def board_at(port: int) -> dict[str, Any]:
 class Followed:
     """A page whose blocks are run one after the other."""
 
-    def __init__(self, page: str, folder: Path) -> None:
+    def __init__(self, page: str, folder: Path, port: int) -> None:
         self.folder = folder
-        self.port = free_ports()
-        self._blocks = iter(blocks(text_of(page, self.port)))
+        self.port = port
+        self._blocks = iter(blocks(text_of(page, port)))
 
     def until(self, note: str) -> Block:
         """Write and run everything up to a block with this note, and return that block."""
@@ -104,8 +96,8 @@ class Followed:
 
 @pytest.mark.stage("docs")
 @pytest.mark.slow
-def test_a_season_goes_from_its_file_to_its_certificate(tmp_path: Path) -> None:
-    page = Followed("season", tmp_path)
+def test_a_season_goes_from_its_file_to_its_certificate(tmp_path: Path, ports: int) -> None:
+    page = Followed("season", tmp_path, ports)
     serve = page.until(BACKGROUND)
     with in_background(serve, tmp_path):
         backup = page.until(f"{RUNS}: a backup")
@@ -129,8 +121,8 @@ def test_a_season_goes_from_its_file_to_its_certificate(tmp_path: Path) -> None:
 
 @pytest.mark.stage("docs")
 @pytest.mark.slow
-def test_a_class_is_taught_and_graded(tmp_path: Path) -> None:
-    page = Followed("teaching", tmp_path)
+def test_a_class_is_taught_and_graded(tmp_path: Path, ports: int) -> None:
+    page = Followed("teaching", tmp_path, ports)
     with in_background(page.until(BACKGROUND), tmp_path):
         grades = page.until(f"{RUNS}: grades")
         (mia,) = board_at(page.port)["entrants"]
@@ -139,15 +131,10 @@ def test_a_class_is_taught_and_graded(tmp_path: Path) -> None:
     assert "mia" in (tmp_path / "grades.csv").read_text()
 
 
-@pytest.mark.parametrize("page", ["season", "teaching"])
-def test_commands_of_the_page_have_the_options_that_they_are_given(page: str) -> None:
-    texts = [block.body for block in blocks((DOCS / f"{page}.md").read_text("utf-8"), "sh")]
-    lines = [line for text in texts for line in text.splitlines() if line.startswith("glue-compete")]
-    assert len(lines) >= 4
-    for line in [*lines, unit()["ExecStart"], container()]:
-        _, command, *arguments = shlex.split(line.partition(" > ")[0], comments=True)
-        found = compete.commands[command]
-        found.make_context(command, arguments)
+def test_the_unit_and_the_container_start_a_season_with_options_that_there_are() -> None:
+    for line in (unit()["ExecStart"], container()):
+        _, command, *arguments = shlex.split(line)
+        compete.commands[command].make_context(command, arguments)
 
 
 def unit() -> dict[str, str]:

@@ -82,11 +82,6 @@ def failures(directory: Path) -> dict[str, str | None]:
         return {trial.spec.id: trial.failure for trial in results.trials()}
 
 
-def events(directory: Path) -> list[tuple[str, str | None, str]]:
-    with Results.open(directory) as results:
-        return [(event.kind, event.trial_id, event.text) for event in results.events()]
-
-
 def test_results_do_not_depend_on_the_processes(tmp_path: Path) -> None:
     plan = (*SARSA, "--episodes", 10, "--trials", 2)
     for how, name in (
@@ -141,7 +136,8 @@ def test_lost_worker_is_replaced_without_a_trace_in_the_results(folder: Path, ag
     assert done.returncode == 0, done.stderr
     assert contents(folder / "run") == contents(folder / "undisturbed")
     trial = f"{agent}/mines/0"
-    happened = events(folder / "run")
+    with Results.open(folder / "run") as results:
+        happened = [(event.kind, event.trial_id, event.text) for event in results.events()]
     assert ("lost", trial, "its worker was killed by signal 9") in happened
     where = "continues after episode 4; 2" if agent == "Faulty" else "starts over; 6"
     assert ("rewind", trial, f"{where} recorded episodes are run again") in happened

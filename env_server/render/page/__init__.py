@@ -10,13 +10,14 @@ import io
 import json
 from collections.abc import Callable, Mapping
 from functools import cache
+from itertools import product
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from env_server.render.artwork import PALETTE, SPRITES, TILES
-from env_server.render.drawing import CLEAR, MOUNTAINS, SKY, WIDTH, Picture, cloud, mark, pillow, sprite, tile
+from env_server.render.artwork import CLOUD, MARK, PALETTE, SPRITES, TILES
+from env_server.render.drawing import CLEAR, MOUNTAINS, SKY, WIDTH, Picture, drawn, pillow, sprite
 from env_server.toys import MINES_MAP
 
 __all__ = ["MARIO", "TOYS"]
@@ -24,18 +25,8 @@ __all__ = ["MARIO", "TOYS"]
 _FOLDER: Final = Path(__file__).parent
 
 
-class _Rectangle(NamedTuple):
-    """The rectangle of a part in the picture, in pixels."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-
-def _rectangles() -> dict[str, _Rectangle]:
-    """Return the rectangles of `cloud`, `mark`, `tile NAME`, `sprite KIND right` or `left`, and `winged`."""
-    return {name: rectangle for name, (rectangle, _) in _layout().items()}
+_Rectangle = tuple[int, int, int, int]
+"""Left, top, width and height of a part in the picture, in pixels."""
 
 
 def _colors() -> dict[str, list[str]]:
@@ -54,13 +45,10 @@ def _sheet_png() -> bytes:
         ConfigError: Pillow is missing.
     """
     layout = _layout()
-    height = max(rectangle.top + rectangle.height for rectangle, _ in layout.values())
-    indices = np.full((height, WIDTH), CLEAR, np.uint8)
-    for rectangle, part in layout.values():
-        indices[
-            rectangle.top : rectangle.top + rectangle.height,
-            rectangle.left : rectangle.left + rectangle.width,
-        ] = part
+    bottom = max(top + height for (_, top, _, height), _ in layout.values())
+    indices = np.full((bottom, WIDTH), CLEAR, np.uint8)
+    for (left, top, width, height), part in layout.values():
+        indices[top : top + height, left : left + width] = part
     seen = np.zeros((CLEAR + 1, 4), np.uint8)  # transparent pixels are all equal, and black
     seen[: len(PALETTE)] = [(*color, 255) for color in PALETTE.values()]
     file = io.BytesIO()
@@ -70,31 +58,28 @@ def _sheet_png() -> bytes:
 
 @cache
 def _layout() -> Mapping[str, tuple[_Rectangle, Picture]]:
-    """Return all parts and their rectangles: in rows, the tallest first."""
-    parts = {f"tile {name}": tile(name) for name in TILES} | {"cloud": cloud(), "mark": mark()}
-    for kind in SPRITES:
-        for winged in (False, True):
-            for to_the_left, side in ((False, "right"), (True, "left")):
-                parts[f"sprite {kind} {side}{' winged' if winged else ''}"] = sprite(
-                    kind, to_the_left, winged
-                )
+    """Return all parts and their rectangles: in rows, the tallest first.
+
+    They are `cloud`, `mark`, `tile NAME`, `sprite KIND right` or `left`, and `winged`.
+    """
+    parts = {f"tile {name}": drawn(lines) for name, lines in TILES.items()}
+    parts |= {"cloud": drawn(CLOUD), "mark": drawn(MARK)}
+    for kind, winged, side in product(SPRITES, ("", " winged"), ("right", "left")):
+        parts[f"sprite {kind} {side}{winged}"] = sprite(kind, side == "left", bool(winged))
     layout: dict[str, tuple[_Rectangle, Picture]] = {}
     left = top = row = 0
     for name, part in sorted(parts.items(), key=lambda item: (-len(item[1]), item[0])):
         height, width = part.shape
         if left + width > WIDTH:
             left, top, row = 0, top + row, 0
-        layout[name] = _Rectangle(left, top, width, height), part
+        layout[name] = (left, top, width, height), part
         left, row = left + width, max(row, height)
     return layout
 
 
 def _artwork() -> bytes:
-    return json.dumps({"places": _rectangles(), "colors": _colors()}).encode()
-
-
-def _map() -> bytes:
-    return json.dumps(MINES_MAP).encode()
+    places = {name: rectangle for name, (rectangle, _) in _layout().items()}
+    return json.dumps({"places": places, "colors": _colors()}).encode()
 
 
 MARIO: Final[Mapping[str, Callable[[], bytes]]] = {
@@ -106,6 +91,6 @@ MARIO: Final[Mapping[str, Callable[[], bytes]]] = {
 
 TOYS: Final[Mapping[str, Callable[[], bytes]]] = {
     "drawing.js": (_FOLDER / "toys.js").read_bytes,
-    "map.json": _map,
+    "map.json": lambda: json.dumps(MINES_MAP).encode(),
 }
 """The mines and the skeleton's walk."""

@@ -208,7 +208,7 @@ def _judged(results: Results, course: Course) -> Iterator[_Judged]:
             yield _Judged(planned, "not verified yet: glue-compete verify does it", outcome.reason)
         elif verdict.problem is not None:
             yield _Judged(planned, f"not verified: {verdict.problem}", outcome.reason)
-        elif _digest(record_path(results.directory, trial)) != verdict.digest:
+        elif not (path := record_path(results.directory, trial)).is_file() or digest(path) != verdict.digest:
             yield _Judged(planned, "changed since it was verified", outcome.reason)
         else:
             curve = _curve(results.episodes(trial) if outcome.reason is None else ())
@@ -300,10 +300,6 @@ def _curve(episodes: Sequence[EpisodeResult]) -> FloatArray:
     earned = np.cumsum([episode.episode_return for episode in episodes])
     at = np.linspace(0, steps[-1], _CURVE_POINTS + 1)
     return np.interp(at, np.concatenate(([0], steps)), np.concatenate(([0.0], earned)))
-
-
-def _digest(path: Path) -> bytes:
-    return digest(path) if path.is_file() else b""
 
 
 def _seeds(results: Results, course: Course) -> list[Seed]:

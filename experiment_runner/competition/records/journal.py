@@ -155,7 +155,7 @@ def _line(one: Act) -> dict[str, object]:
 
 
 def content(directory: Path) -> bytes:
-    """Return the complete lines of a run's journal; empty if there is none, as in a run of version 0.3.
+    """Return the complete lines of a run's journal; empty if there is none.
 
     Raises:
         StorageError: it cannot be read.

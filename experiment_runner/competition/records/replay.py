@@ -103,7 +103,7 @@ class _StepByStep:
     ) -> tuple[npt.NDArray[np.float64], bool]:
         rewards = np.empty(len(choices))
         for i, choice in enumerate(choices.tolist()):
-            step = step_of(self._environment, self._environment.env_step(actions[choice]))
+            step = step_of(self._environment.env_step(actions[choice]))
             rewards[i] = step.reward
             if step.terminal:
                 return rewards[: i + 1], True

@@ -8,9 +8,6 @@ However much there is, the seal is renewed at the same cost. The digest of the j
 lines. That of a set is the sum of its elements' digests modulo 2**4096: AdHASH of Bellare and Micciancio
 (1997), "A New Paradigm for Collision-Free Hashing: Incrementality at Reduced Cost". Against that many bits,
 the generalised birthday attack of Wagner (2002) takes about 2**128 steps.
-
-An earlier seal had one digest of everything that was played, and one of each verdict. It remains valid, and
-is replaced when something is recorded.
 """
 
 from __future__ import annotations
@@ -82,15 +79,6 @@ class _Seal(msgspec.Struct, omit_defaults=True):
     signature: str = ""
 
 
-class _EarlierSeal(msgspec.Struct, omit_defaults=True):
-    """A seal as it was before; a digest of something comes after the one before its last change."""
-
-    played: Annotated[list[str], msgspec.Meta(min_length=1)]
-    verified: dict[str, Annotated[list[str], msgspec.Meta(min_length=1)]]
-    key: str = ""
-    signature: str = ""
-
-
 def seal(store: Store) -> bool:
     """Seal a competition as it is, if it has no seal yet; return whether it had one.
 
@@ -101,7 +89,7 @@ def seal(store: Store) -> bool:
         _write(store.directory, _Seal(_digests(store)))
         return False
     found = _read(store.directory)
-    if isinstance(found, _Seal) and found.before is not None and _digests(store) == found.before:
+    if found.before is not None and _digests(store) == found.before:
         found.now = found.before
         _write(store.directory, found)
     return True
@@ -113,7 +101,7 @@ def seal(store: Store) -> bool:
 
 def record_acts(store: Store, acts: Sequence[Act]) -> None:
     """Renew the seal, and append acts to the journal."""
-    found = _newest(store)
+    found = _read(store.directory)
     lines = journal.text_of(acts).encode()
     _renew(store, found, replace(found.now, acts=_chained(found.now.acts, lines)))
     journal.append(store.directory, lines)
@@ -121,14 +109,14 @@ def record_acts(store: Store, acts: Sequence[Act]) -> None:
 
 def add_trials(store: Store, specs: Sequence[TrialSpec]) -> None:
     """Renew the seal, and store further trials, for which acts of the journal call."""
-    found = _newest(store)
+    found = _read(store.directory)
     _renew(store, found, replace(found.now, trials=_sum(map(_planned, specs), found.now.trials)))
     store.extend(specs)
 
 
 def record_outcome(store: Store, trial_id: str, outcome: TrialEnd) -> None:
     """Renew the seal, and store how a trial ended."""
-    found = _newest(store)
+    found = _read(store.directory)
     outcomes = _sum([_ended(trial_id, outcome)], found.now.outcomes)
     _renew(store, found, replace(found.now, outcomes=outcomes))
     store.record_outcome(trial_id, outcome)
@@ -136,10 +124,7 @@ def record_outcome(store: Store, trial_id: str, outcome: TrialEnd) -> None:
 
 def record_verdict(store: Store, trial_id: str, verdict: ReplayVerdict) -> None:
     """Renew the seal, and store the result of replaying a trial, in place of an earlier one."""
-    if isinstance(_read(store.directory), _EarlierSeal) and broken(store):
-        store.record_verdict(trial_id, verdict)  # `reseal_verdicts` follows
-        return
-    found, was = _newest(store), store.verdict(trial_id)
+    found, was = _read(store.directory), store.verdict(trial_id)
     if was is not None and _verified(store, trial_id, was) == _verified(store, trial_id, verdict):
         return
     rest = found.now.verdicts
@@ -156,19 +141,6 @@ def reseal_verdicts(store: Store) -> None:
     """
     if broken(store) == _WHAT["verdicts"] and store.verdicts().keys() <= store.outcomes().keys():
         _write(store.directory, _Seal(_digests(store)))
-
-
-def _newest(store: Store) -> _Seal:
-    """Return the seal of a run; one for an earlier seal, unless that is broken.
-
-    Raises:
-        ExperimentError: it cannot be read, or is an earlier one and broken.
-    """
-    found = _read(store.directory)
-    if isinstance(found, _Seal):
-        return found
-    check_seal(store)
-    return _Seal(_digests(store), None, found.key, found.signature)
 
 
 def _renew(store: Store, found: _Seal, now: _Digests) -> None:
@@ -194,15 +166,7 @@ def broken(results: Results) -> str:
     return changed
 
 
-def _changed(results: Results, found: _Seal | _EarlierSeal) -> str:
-    if isinstance(found, _EarlierSeal):
-        verdicts = results.verdicts()
-        if _earlier_played(results) not in found.played:
-            return ", ".join(what for part, what in _WHAT.items() if part != "verdicts")
-        sealed = (
-            (_earlier_verified(results, *one), found.verified.get(one[0], ())) for one in verdicts.items()
-        )
-        return "" if all(digest in digests for digest, digests in sealed) else _WHAT["verdicts"]
+def _changed(results: Results, found: _Seal) -> str:
     now = _digests(results)
     if now in (found.now, found.before):
         return ""
@@ -256,11 +220,8 @@ def check_signature(directory: Path, public: bytes) -> None:
         raise ExperimentError(f"{directory} was not signed with {encode(public)}, or was changed since")
 
 
-def _message(found: _Seal | _EarlierSeal) -> bytes:
-    if isinstance(found, _Seal):
-        return b"glue-compete seal 2\n" + _digest(msgspec.to_builtins(found.now)).encode()
-    last = {name: digests[-1] for name, digests in found.verified.items()}
-    return b"glue-compete seal 1\n" + _digest(found.played[-1], last).encode()
+def _message(found: _Seal) -> bytes:
+    return b"glue-compete seal 2\n" + _digest(msgspec.to_builtins(found.now)).encode()
 
 
 def _digests(results: Results) -> _Digests:
@@ -310,11 +271,8 @@ def _ended(trial_id: str, outcome: TrialEnd) -> object:
 
 
 def _verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> object:
-    return trial_id, *_judged(results, trial_id, verdict)
-
-
-def _judged(results: Results, trial_id: str, verdict: ReplayVerdict) -> tuple[object, object]:
     return (
+        trial_id,
         [verdict.digest.hex(), verdict.problem, repr(verdict.score)],
         [
             [row.episode, repr(row.episode_return), row.steps, row.terminal]
@@ -323,40 +281,18 @@ def _judged(results: Results, trial_id: str, verdict: ReplayVerdict) -> tuple[ob
     )
 
 
-def _earlier_played(results: Results) -> str:
-    files = _files(results.directory)
-    if acts := journal.content(results.directory):  # version 0.3 had no journal
-        files.append(hashlib.sha256(acts).hexdigest())
-    return _digest(
-        files,
-        [_planned(record.spec) for record in results.trials()],
-        {name: [outcome.reason, outcome.digest.hex()] for name, outcome in results.outcomes().items()},
-    )
+def _digest(part: object) -> str:
+    return hashlib.sha256(json.dumps([part], sort_keys=True).encode()).hexdigest()
 
 
-def _earlier_verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> str:
-    return _digest(*_judged(results, trial_id, verdict))
-
-
-def _digest(*parts: object) -> str:
-    whole = hashlib.sha256()
-    for chunk in json.JSONEncoder(sort_keys=True).iterencode(parts):
-        whole.update(chunk.encode())
-    return whole.hexdigest()
-
-
-def _read(directory: Path) -> _Seal | _EarlierSeal:
+def _read(directory: Path) -> _Seal:
     path = directory / SEAL_FILE
     try:
-        text = read_regular(path, _MOST_BYTES)
-        try:
-            return msgspec.json.decode(text, type=_Seal)
-        except ValueError:
-            return msgspec.json.decode(text, type=_EarlierSeal)
+        return msgspec.json.decode(read_regular(path, _MOST_BYTES), type=_Seal)
     except (OSError, ValueError, RecursionError):
         raise ExperimentError(f"{path} is not a seal: put the file back that glue-compete wrote") from None
 
 
-def _write(directory: Path, made: _Seal | _EarlierSeal) -> None:
+def _write(directory: Path, made: _Seal) -> None:
     text = json.dumps(msgspec.to_builtins(made), indent=2) + "\n"
     replace_flushed(directory / SEAL_FILE, text, KEPT)

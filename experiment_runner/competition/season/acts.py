@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.course import Course
-from experiment_runner.competition.organiser import admissions
+from experiment_runner.competition.organiser import Held, admissions
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.records.journal import EVERYBODY, Act, act
-from experiment_runner.competition.season.control import Admitted, Organise
-from experiment_runner.competition.season.state import SeasonState
-from experiment_runner.competition.settings import Competition, load_competition
+from experiment_runner.competition.records.journal import EVERYBODY, Act, act, utc_now
+from experiment_runner.competition.season.control import Admitted, Door, Organise, Reply, Request
+from experiment_runner.competition.settings import load_competition
+from experiment_runner.plan.limits import TrialId
 from glue.errors import ExperimentError
 
 
-def acts_for(
-    wanted: Organise,
-    course: Course,
-    over: Collection[str],
-    now: datetime,
-    state: SeasonState | None = None,
-) -> list[Act]:
+def acts_for(wanted: Organise, course: Course, over: Collection[str], now: datetime) -> list[Act]:
     """Return the acts of the journal that carry out an organiser's wish.
 
     Args:
@@ -31,35 +27,37 @@ def acts_for(
         course: of the competition, so far.
         over: ids of the trials that are over.
         now: the time.
-        state: of the season, if it is known.
 
     Raises:
         ExperimentError: it cannot be; the message says why.
     """
-
-    if state is None and course.competition.season is not None:
-        state = SeasonState.of(course)
+    state, name = course.state, wanted.subject
 
     def one(subject: str, kind: str = wanted.act, number: int = 0, **more: Any) -> Act:
         return act(kind, subject, wanted.why, now=now, number=number, **more)
 
-    name = wanted.subject
     match wanted.act:
         case journal.ADD:
-            return [one(new.name, player=new.player, id=new.id, alias=new.alias) for new in wanted.admitted]
-        case journal.RERUN if "/" in name:
-            return course.repetitions([name], over, wanted.why)
+            aliases = {one.alias for one in course.acts if one.alias}
+            new = [(each.entrant, each.alias) for each in wanted.admitted]
+            if any(each.name in course.entrants or alias in aliases for each, alias in new):
+                raise ExperimentError("who takes part has changed meanwhile: try again")
+            return [one(each.name, player=each.player, id=each.id, alias=alias) for each, alias in new]
         case journal.RERUN if not course.in_season:
             theirs = [
                 trial for trial, last in course.counting.items() if trial.parts[0] == name and last in over
             ]
-            if not theirs or wanted.number:
+            if "/" in name:
+                theirs = [TrialId(name)]
+            elif not theirs or wanted.number:
                 raise ExperimentError(
                     f"no trial of {name:.80} is over; give its name, or entrant, task and number"
                 )
             return course.repetitions(theirs, over, wanted.why)
         case journal.EXCLUDE:
-            return [course.exclusion(name, wanted.why), *_ended(state, name, wanted.why, now)]
+            excluded, current = course.exclusion(name, wanted.why), state.entrant(name).current.values()
+            ends = {"waiting": journal.CANCEL, "playing": journal.OURS}
+            return [excluded, *(one(name, ends[each.state], each.number) for each in current)]
         case journal.READMIT:
             if name not in course.excluded:
                 raise ExperimentError(f"{name:.80} is not excluded")
@@ -67,13 +65,13 @@ def acts_for(
         case journal.ANNOUNCE:
             return [one(EVERYBODY)]
         case journal.PAUSE | journal.RESUME:
-            paused = _paused(course, state, name or EVERYBODY)
+            paused = state.entrant(name).paused if name not in ("", EVERYBODY) else state.paused
             if wanted.act == journal.RESUME and not paused:
                 raise ExperimentError(
                     f"{name or ('the season' if course.in_season else 'the run')} is not paused"
                 )
             return [one(name or EVERYBODY)]
-    if state is None:
+    if state.rules is None:
         raise ExperimentError(
             f"{wanted.act:.20} is an act of a season, and the competition's file has no table [season]"
             + ("; rerun has an entrant play again" if wanted.act == journal.GRANT else "")
@@ -82,7 +80,15 @@ def acts_for(
         raise ExperimentError(f"the season was closed at {state.closed}")
     match wanted.act:
         case journal.RERUN:
-            return [_rerun(wanted, state, now)]
+            attempts = state.taking_part(name).attempts
+            ended = [number for number, each in attempts.items() if each.state in ("over", "ours")]
+            number = wanted.number or max(ended, default=0)
+            if number not in ended:
+                raise ExperimentError(
+                    f"{name} has no attempt {number or ''} that is over"
+                    + (f"; there are {', '.join(map(str, ended))}" if ended else "")
+                )
+            return [one(name, number=len(attempts) + 1, instead=number)]
         case journal.GRANT:
             state.entrant(name)
             if not 1 <= wanted.number <= 10_000:
@@ -99,6 +105,22 @@ def acts_for(
     raise ExperimentError(f"there is no act {wanted.act!r:.80}")
 
 
+def answering(door: Door) -> Callable[[Held, float], None]:
+    """Return the `visit` of a competition that is held at once, which carries out its organiser's acts."""
+
+    def visit(held: Held, seconds: float) -> None:
+        def answer(request: Request) -> Reply:
+            if not isinstance(request, Organise):
+                raise ExperimentError("the season is over, and its final is played")
+            acts = acts_for(request, held.course, held.over, utc_now())
+            held.record(acts, [new.entrant for new in request.admitted])
+            return {"acts": [line_of(one) for one in acts]}
+
+        door.serve(answer, seconds)
+
+    return visit
+
+
 def addition(course: Course, file: Path, secret: bytes) -> Mapping[str, Any]:
     """Return the fields of an `Organise` that adds the entrants of a file, once each can be started.
 
@@ -113,65 +135,14 @@ def addition(course: Course, file: Path, secret: bytes) -> Mapping[str, Any]:
         ConfigError: the file cannot be read or describes no competition, or an entrant cannot be started.
         ExperimentError: it has no new entrant.
     """
-    given = load_competition(file)
+    given = load_competition(file.absolute())
     new = [entrant for entrant in given.entrants if entrant.name not in course.entrants]
     if not new:
         raise ExperimentError(f"{file} has no entrant that does not take part already")
     hidden = None if course.competition.season is None else secret
     taken = (one.alias for one in course.acts)
     acts = admissions(given, new, journal.ADD, "", secret=hidden, taken=taken)
-    admitted = tuple(Admitted(one.subject, one.player, one.id, one.alias) for one in acts)
-    return {"file": str(file.absolute()), "admitted": admitted}
-
-
-def competition_given(wanted: Organise, course: Course) -> Competition | None:
-    """Return the competition of the file of a wish to add its entrants; None for another wish.
-
-    Raises:
-        ConfigError: the file cannot be read or describes no competition.
-        ExperimentError: its entrants are not, or no longer, those that are to be added.
-    """
-    if wanted.act != journal.ADD:
-        return None
-    given = load_competition(Path(wanted.file))
-    new = {one.name: one.player for one in given.entrants if one.name not in course.entrants}
-    taken = {one.alias for one in course.acts if one.alias}
-    if (
-        not new
-        or {one.name: one.player for one in wanted.admitted} != new
-        or not taken.isdisjoint(one.alias for one in wanted.admitted)
-    ):
-        raise ExperimentError(f"{wanted.file}, or who takes part, has changed meanwhile: try again")
-    return given
-
-
-def _paused(course: Course, state: SeasonState | None, who: str) -> str:
-    """Return why somebody, or `EVERYBODY`, is paused; empty if not."""
-    if state is not None and course.in_season:
-        return state.paused if who == EVERYBODY else state.entrant(who).paused
-    if who not in (EVERYBODY, *course.entrants):
-        raise ExperimentError(f"there is no entrant {who:.80}")
-    return course.paused.get(who, "")
-
-
-def _ended(state: SeasonState | None, name: str, why: str, now: datetime) -> list[Act]:
-    """Return the ends of the attempts of one who is excluded."""
-    if state is None:
-        return []
-    entrant = state.entrant(name)
-    return [
-        act(journal.CANCEL if one.state == "waiting" else journal.OURS, name, why, now=now, number=one.number)
-        for one in entrant.current.values()
-    ]
-
-
-def _rerun(wanted: Organise, state: SeasonState, now: datetime) -> Act:
-    name, entrant = wanted.subject, state.taking_part(wanted.subject)
-    ended = [number for number, one in entrant.attempts.items() if one.state in ("over", "ours")]
-    number = wanted.number or max(ended, default=0)
-    if number not in ended:
-        raise ExperimentError(
-            f"{name} has no attempt {number or ''} that is over"
-            + (f"; there are {', '.join(map(str, ended))}" if ended else "")
-        )
-    return act(journal.RERUN, name, wanted.why, now=now, number=len(entrant.attempts) + 1, instead=number)
+    admitted = tuple(
+        Admitted(replace(entrant, id=one.id), one.alias) for entrant, one in zip(new, acts, strict=True)
+    )
+    return {"admitted": admitted}

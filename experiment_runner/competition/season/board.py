@@ -16,10 +16,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from itertools import accumulate, product
+from itertools import accumulate, compress, product
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.competition.board.standings import Forfeit, interval
@@ -27,8 +28,8 @@ from experiment_runner.competition.course import Course
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, time_text
 from experiment_runner.competition.season.schedule import queue
-from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
 from experiment_runner.competition.settings import Competition
+from experiment_runner.competition.state import Attempt, Enrolled
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
@@ -199,7 +200,7 @@ class Boards:
     all others.
 
     Args:
-        course: tasks, entrants and acts.
+        course: tasks, entrants and acts, which do not change any more.
         outcomes, verdicts, late: of the trials, by id, as `Results` returns them.
         now: the time.
 
@@ -215,12 +216,11 @@ class Boards:
         late: Mapping[str, tuple[int, int]],
         now: datetime,
     ) -> None:
-        state = SeasonState.of(course)
         played = {
-            (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts)
-            for one in state.attempts("over")
+            (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts, late)
+            for one in course.state.attempts("over")
         }
-        self._facts = _Facts(course, state, played, late, now)
+        self._facts = _Facts(course, played, now)
 
     @classmethod
     def of(cls, results: Results, course: Course, now: datetime) -> Boards:
@@ -237,7 +237,7 @@ class Boards:
 
     @cached_property
     def _public(self) -> _Board:
-        state = self._facts.state
+        state = self._facts.course.state
         return _Board(self._facts, state.closed is not None, state.frozen_at(self._facts.now))
 
     @cached_property
@@ -245,31 +245,28 @@ class Boards:
         return _Board(self._facts, True, None)
 
 
-@dataclass(frozen=True, slots=True)
-class _Played:
+class _Played(NamedTuple):
     """The trials of an attempt that is over.
 
-    Args:
-        scores: verified, of each trial of each task.
-        forfeits: of its trials.
-        verified: whether all of them were.
+    scores      verified, shape (tasks, trials), of all proving tasks
+    lost        which of them were forfeited, likewise
+    late        number of late actions, and of all, of the trials with a rate, shape (tasks, trials, 2)
+    forfeits    of its trials
+    verified    whether all of them were
     """
 
-    scores: Mapping[str, Sequence[float]]
+    scores: FloatArray
+    lost: npt.NDArray[np.bool_]
+    late: npt.NDArray[np.int64]
     forfeits: tuple[Forfeit, ...]
     verified: bool
 
 
 class _Facts(NamedTuple):
-    """The data of the boards for all viewers.
-
-    `played` has each attempt's entrant and number, `late` the late and all actions of each trial with a rate.
-    """
+    """The data of the boards for all viewers; `played` by an attempt's entrant and number."""
 
     course: Course
-    state: SeasonState
     played: Mapping[tuple[str, int], _Played]
-    late: Mapping[str, tuple[int, int]]
     now: datetime
 
 
@@ -301,23 +298,21 @@ def _played_in(
     competition: Competition,
     outcomes: Mapping[str, TrialEnd],
     verdicts: Mapping[str, ReplayVerdict],
+    late: Mapping[str, tuple[int, int]],
 ) -> _Played:
-    scores: dict[str, list[float]] = {}
-    forfeits: list[Forfeit] = []
-    verified = True
-    for task in competition.proving:
-        for number in range(competition.trials):
-            trial = _trial(attempt.entrant, attempt.number, task.name, number, competition)
-            outcome, verdict = outcomes.get(trial), verdicts.get(trial)
-            verified &= outcome is not None and verdict is not None and verdict.problem is None
-            if outcome is not None and outcome.reason is not None:
-                forfeits.append(Forfeit(task.name, number, outcome.reason))
-            scores.setdefault(task.name, []).append(math.nan if verdict is None else verdict.score)
-    return _Played(scores, tuple(forfeits), verified)
-
-
-def _trial(entrant: str, attempt: int, task: str, number: int, competition: Competition) -> TrialId:
-    return TrialId.of(entrant, task, (attempt - 1) * competition.trials + number)
+    levels = list(product((task.name for task in competition.proving), range(competition.trials)))
+    before = (attempt.number - 1) * competition.trials
+    trials = [TrialId.of(attempt.entrant, task, before + number) for task, number in levels]
+    ends, judged = [outcomes.get(trial) for trial in trials], [verdicts.get(trial) for trial in trials]
+    reasons = [None if end is None else end.reason for end in ends]
+    shape = len(competition.proving), competition.trials
+    return _Played(
+        np.array([math.nan if one is None else one.score for one in judged]).reshape(shape),
+        np.array([reason is not None for reason in reasons]).reshape(shape),
+        np.array([late.get(trial, (0, 0)) for trial in trials]).reshape(*shape, 2),
+        tuple(Forfeit(*level, why) for level, why in zip(levels, reasons, strict=True) if why is not None),
+        None not in ends and all(one is not None and one.problem is None for one in judged),
+    )
 
 
 class _Board:
@@ -331,10 +326,11 @@ class _Board:
 
     def __init__(self, facts: _Facts, told: bool, until: datetime | None) -> None:
         self._facts = facts
-        self._state = state = facts.state
+        self._state = state = facts.course.state
         self._until = until
         proving = facts.course.competition.proving
-        self._tasks = tuple(task.name for task in proving if told or not task.hidden)
+        self._told = [told or not task.hidden for task in proving]
+        self._tasks = tuple(task.name for task in compress(proving, self._told))
         self._hidden = tuple(task.name for task in proving if task.name not in self._tasks)
         self._queue = {(one.entrant, one.number): i for i, one in enumerate(queue(state), 1)}
         self._lowest = self._lowest_scores()
@@ -373,7 +369,7 @@ class _Board:
     def _shown(self, name: str, viewer: str) -> str:
         if _knows(viewer, name) or self._state.season.names == "own":
             return name
-        return self._state.entrants[name].act.alias or name
+        return self._state.entrants[name].act.alias
 
     def _standing(self, entrant: Enrolled) -> list[tuple[Attempt, Attempt]]:
         """Return the verified attempts that stand; see `Enrolled.standing`."""
@@ -382,28 +378,19 @@ class _Board:
         found = entrant.standing(self._until)
         return [(root, one) for root, one in found if self._facts.played[one.entrant, one.number].verified]
 
-    def _lowest_scores(self) -> dict[tuple[str, int], float]:
-        """Return the lowest score of each level among those who played it to the end."""
-        lowest: dict[tuple[str, int], float] = {}
-        for entrant in self._state.entrants.values():
-            for _, one in self._standing(entrant):
-                played = self._facts.played[one.entrant, one.number]
-                left = {(lost.task, lost.trial) for lost in played.forfeits}
-                for task, scores in played.scores.items():
-                    for number, score in enumerate(scores):
-                        if (task, number) not in left:
-                            lowest[task, number] = min(score, lowest.get((task, number), math.inf))
+    def _lowest_scores(self) -> FloatArray:
+        """Return the lowest score of each level among those who played it to the end, as in `_Played`."""
+        standing = (one for each in self._state.entrants.values() for _, one in self._standing(each))
+        played = [self._facts.played[one.entrant, one.number] for one in standing]
+        scores = [np.where(one.lost, np.inf, one.scores) for one in played]
+        lowest: FloatArray = np.minimum.reduce(scores, axis=0, initial=np.inf)
         return lowest
 
     def _scores(self, attempt: Attempt) -> FloatArray:
-        """Return the scores of an attempt's trials, shape (tasks, trials)."""
+        """Return the scores of an attempt's trials, shape (tasks, trials), of the tasks that are shown."""
         played = self._facts.played[attempt.entrant, attempt.number]
-        scores = np.array([played.scores[task] for task in self._tasks])
-        for lost in played.forfeits:
-            if lost.task in self._tasks:
-                at = self._tasks.index(lost.task), lost.trial
-                scores[at] = min(scores[at], self._lowest.get((lost.task, lost.trial), math.inf))
-        return scores
+        scores = np.where(played.lost, np.minimum(played.scores, self._lowest), played.scores)
+        return scores[self._told]
 
     def _places_of(self) -> dict[str, _Placed]:
         found: list[_Placed] = []
@@ -460,11 +447,9 @@ class _Board:
         )
 
     def _late(self, placed: _Placed) -> float:
-        competition = self._facts.course.competition
-        counting = product(placed.counting, self._tasks, range(competition.trials))
-        trials = [_trial(placed.name, *one, competition) for one in counting]
-        late, actions = (sum(self._facts.late.get(trial, (0, 0))[i] for trial in trials) for i in (0, 1))
-        return late / actions if actions else math.nan
+        played = (self._facts.played[placed.name, number] for number in placed.counting)
+        late, actions = sum(one.late[self._told].sum(axis=(0, 1)) for one in played)
+        return float(late / actions) if actions else math.nan
 
     def _attempt(self, one: Attempt, knows: bool) -> AttemptRow:
         row = AttemptRow(

@@ -45,19 +45,19 @@ def bundle(directory: Path, out: Path) -> None:
             raise ExperimentError(
                 f"a bundle shows all levels, and the season is not closed: glue-compete close {directory}"
             )
-        with new_run(out) as made:
+        with new_run(out) as (folder, lock):
             for name in _FILES:
-                write_flushed(made.folder / name, read_regular(directory / name, _MOST_BYTES))
-            write_flushed(made.folder / BOARD_FILE, boards_as_json(store, course))
+                write_flushed(folder / name, read_regular(directory / name, _MOST_BYTES))
+            write_flushed(folder / BOARD_FILE, boards_as_json(store, course))
             for trial in store.outcomes():
-                path = record_path(made.folder, trial)
+                path = record_path(folder, trial)
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_flushed(path, read_regular(record_path(directory, trial), _MOST_BYTES))
             environments = (record.spec.environment for record in store.trials())
             for name, content in copies(environments, directory).items():
-                write_flushed(made.folder / name, content)
-            store.copy_to(made.folder)
-        made.lock.release()
+                write_flushed(folder / name, content)
+            store.copy_to(folder)
+        lock.release()
 
 
 def board_differs(results: Results) -> bool:

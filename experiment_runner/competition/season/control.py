@@ -19,6 +19,7 @@ from typing import Any, Final
 
 import msgspec
 
+from experiment_runner.competition.settings import Entrant
 from experiment_runner.store.database import StorageError, reported
 from glue.closing import Closing
 from glue.errors import ExperimentError, GlueError
@@ -28,13 +29,10 @@ CONTROL: Final = "control"
 
 Reply = dict[str, Any]
 
-_MOST_BYTES: Final = 2**16
+_MOST_BYTES: Final = 2**17
 """Maximum size of a request."""
 
 _MOST_BYTES_OF_REPLY: Final = 2**22
-
-_MOST_CLIENTS: Final = 64
-"""Clients served at once; others wait to be accepted."""
 
 _PATIENCE_SECONDS: Final = 5.0
 """Time for a client to send its request, and to read the reply."""
@@ -61,11 +59,9 @@ class _Request(msgspec.Struct, tag_field="do", tag=str.lower, forbid_unknown_fie
 
 
 class Admitted(msgspec.Struct, forbid_unknown_fields=True):
-    """An entrant that can be started: name, player, id and alias as of an act of the journal."""
+    """An entrant that can be started, with its id, and its pseudonym, if entrants have them."""
 
-    name: str
-    player: str
-    id: str = ""
+    entrant: Entrant
     alias: str = ""
 
 
@@ -77,15 +73,13 @@ class Organise(_Request, tag="act"):
         subject: the entrant's name, the id of a trial, `*` for all entrants, or empty.
         why: the reason; the text of an announcement.
         number: the number of an attempt, or of attempts granted; 0 for none.
-        file: of `add`, the competition's file with the new entrants.
-        admitted: of `add`, these entrants.
+        admitted: of `add`, the new entrants.
     """
 
     act: str
     subject: str = ""
     why: str = ""
     number: int = 0
-    file: str = ""
     admitted: tuple[Admitted, ...] = ()
 
 
@@ -145,12 +139,12 @@ class Submit(_Request):
 
 
 class Status(_Request):
-    """The attempts that play, and those that wait."""
+    """How many attempts can be played and are, whether any are accepted, and why none is let play."""
 
 
 Request = Organise | Enrol | Attempt | Key | Withdraw | Submit | Status
 
-_DECODER: Final = msgspec.json.Decoder(Request)
+_DECODER: Final = msgspec.json.Decoder(Request, dec_hook=lambda kind, text: kind(text))  # of a path
 
 
 class Door(Closing):
@@ -215,15 +209,6 @@ class Door(Closing):
             client.setblocking(False)
             self._clients[client] = bytearray(), self._clock() + _PATIENCE_SECONDS
             self._ready.register(client, selectors.EVENT_READ)
-            self._listen()
-
-    def _listen(self) -> None:
-        """Accept clients only while there is room for more."""
-        room, listening = len(self._clients) < _MOST_CLIENTS, self._listener in self._ready.get_map()
-        if room and not listening:
-            self._ready.register(self._listener, selectors.EVENT_READ)
-        elif listening and not room:
-            self._ready.unregister(self._listener)
 
     def _read(self, client: socket.socket) -> bytes | None:
         """Return the request of a client, once it is complete."""
@@ -265,7 +250,6 @@ class Door(Closing):
         del self._clients[client]
         self._ready.unregister(client)
         client.close()
-        self._listen()
 
 
 def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> Reply:
@@ -283,7 +267,7 @@ def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> R
         with _short(directory) as short, socket.socket(socket.AF_UNIX) as client:
             client.settimeout(seconds)
             client.connect(short)
-            client.sendall(json.dumps(request, default=msgspec.to_builtins).encode() + b"\n")
+            client.sendall(json.dumps(request, default=_plain).encode() + b"\n")
             line = client.makefile("rb").readline(_MOST_BYTES_OF_REPLY)
             if not line.endswith(b"\n"):
                 raise ConnectionError("its reply is not whole")
@@ -291,6 +275,10 @@ def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> R
         raise NoServer(f"no server answers in {directory}: {error.strerror or error}") from None
     reply: Reply = json.loads(line)
     return reply
+
+
+def _plain(value: object) -> object:
+    return msgspec.to_builtins(value, enc_hook=str)  # of a path
 
 
 @contextmanager

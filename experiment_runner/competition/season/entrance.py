@@ -5,23 +5,24 @@
     POST withdraw   attempt
     PUT  image      a tar of docker save
     GET  tasks      what is played, for trying it at home
+    GET  start      start: a name of this start of the page, for which requests are signed
 
-Every request but the last is signed (see `glue.keys.requests`) and is passed on to the season's server, which
-decides. Here is what protects it: signatures, sizes, and the rate of requests from one address and of one
-entrant. A refusal is JSON, `{"error": TEXT}`, with 429 or 503 and Retry-After if it helps to wait.
+All requests but the last two are signed (see `glue.keys.requests`) and are passed on to the season's server,
+which decides. Here is what protects it: signatures, sizes, and the rate of requests from one address and of
+one entrant. A refusal is JSON, `{"error": TEXT}`, with 429 or 503 and Retry-After if it helps to wait.
 """
 
 from __future__ import annotations
 
 import asyncio
 import errno
-import fcntl
 import hashlib
 import io
 import ipaddress
 import json
 import math
 import os
+import secrets
 import shutil
 import sys
 import tempfile
@@ -43,12 +44,11 @@ from experiment_runner.competition.season.images import MODULE
 from experiment_runner.competition.season.trying import tasks_of
 from experiment_runner.competition.settings import load_competition
 from experiment_runner.store.layout import COMPETITION_FILE
-from glue.client.season import PREFIX
+from glue.client.season import PREFIX, STARTED
 from glue.console import one_line
 from glue.errors import GlueError
-from glue.files import open_regular
 from glue.keys.certificates import decode
-from glue.keys.requests import DIGEST, ENTRANT, TIME, Once, Unsigned, check
+from glue.keys.requests import DIGEST, ENTRANT, START, Once, Unsigned, check
 
 _MOST_JSON: Final = 2**14
 _MOST_UPLOADS: Final = 4
@@ -64,9 +64,6 @@ _LEAST_RATE: Final = 2**18
 
 _LOAD_SECONDS: Final = 900.0
 """Time to check an image, and for the engine to take it."""
-
-_UPLOADS: Final = "uploads"
-"""Folder in the directory of a season for images on their way to the engine."""
 
 _ROOM: Final = 3
 """Times its size that an image may take for a while: as it came, checked, and in the engine."""
@@ -138,6 +135,7 @@ def routes(directory: Path, now: Callable[[], float] = time.time) -> list[BaseRo
         Route(f"{PREFIX}withdraw", _answering(entrance.passing("withdraw")), methods=["POST"]),
         Route(f"{PREFIX}image", _answering(entrance.image), methods=["PUT"]),
         Route(f"{PREFIX}tasks", _answering(entrance.tasks), methods=["GET"]),
+        Route(f"{PREFIX}start", _answering(entrance.start), methods=["GET"]),
     ]
 
 
@@ -150,6 +148,8 @@ def _answering(endpoint: _Endpoint) -> Callable[[Request], Awaitable[Response]]:
             if error.seconds:
                 headers["Retry-After"] = str(math.ceil(error.seconds))
             return JSONResponse({"error": str(error)}, error.status, headers)
+        except Unsigned as error:
+            return JSONResponse({"error": f"the request {error}"}, 403, headers)
         except ClientDisconnect:
             return Response(status_code=400)  # nobody reads it
         except GlueError as error:
@@ -162,26 +162,22 @@ class _Entrance:
     def __init__(self, directory: Path, now: Callable[[], float]) -> None:
         self._directory = directory
         self._now = now
-        self._began = int(now())
+        self._start = secrets.token_hex()
         self._once = Once()
         self._of_address = Rate(50, 500, now)
         self._joins = Rate(0.2, 60, now)
         self._of_entrant = Rate(2, 30, now)
         self._images = Rate(1 / 600, 5, now)
         self._uploading: set[str] = set()
-        for left in (directory / _UPLOADS).glob("*.tar"):
-            _remove_unless_received(left)
 
     async def join(self, request: Request) -> _Answer:
         self._joins.take(address_of(request))
         body = await self._json(request)
         try:
             key = decode(str(body.get("key")))
-            check(key, request.method, request.url.path, request.headers, self._now())
         except ValueError:
             raise Denied("key is not a public key as glue-keys writes it") from None
-        except Unsigned as error:
-            raise Denied(f"the request {error}", 403) from None
+        check(key, request.method, request.url.path, request.headers, self._now())
         return await self._ask({**body, "do": "enrol"})
 
     def passing(self, do: str) -> _Endpoint:
@@ -199,11 +195,15 @@ class _Entrance:
         file = self._directory / COMPETITION_FILE
         return tasks_of(await run_in_threadpool(partial(load_competition, file, follow=False)))
 
+    async def start(self, request: Request) -> _Answer:
+        self._of_address.take(address_of(request))
+        return {"start": self._start}
+
     async def image(self, request: Request) -> _Answer:
         entrant = await self._sender(request)
         self._images.take(entrant)
-        season = (await run_in_threadpool(course_of, self._directory)).season
-        if season is None or not season.images:
+        season = (await run_in_threadpool(lambda: course_of(self._directory).state)).season
+        if not season.images:
             raise Denied("this season takes no images: play with glue-agent and season.toml", 403)
         size = request.headers.get("content-length", "")
         if not (size.isascii() and size.isdigit() and len(size) < _MOST_LETTERS):
@@ -213,24 +213,21 @@ class _Entrance:
             raise Denied(f"the image has {int(size) / 2**20:.1f} MiB, and {most} are allowed", 413)
         with self._upload(entrant, int(size)) as file:
             await _received(request, file, int(size), _UPLOAD_SECONDS)
-            found = await _loaded(file.name, season.most_bytes, self._directory)
+            found = await _loaded(file, season.most_bytes, self._directory)
         return await self._ask({"do": "submit", "entrant": entrant, "image": found, "name": found})
 
     @contextmanager
     def _upload(self, entrant: str, size: int) -> Iterator[BinaryIO]:
-        """Yield a file for an image, which is gone afterwards."""
+        """Yield a file for an image, which is gone afterwards, even if this process is killed."""
         if entrant in self._uploading:
             raise Denied("another image of this entrant is being received", 429, _RESTART_SECONDS)
         if len(self._uploading) >= _MOST_UPLOADS:
             raise Denied(f"{_MOST_UPLOADS} images are being received: try again", 503, _RESTART_SECONDS)
         self._uploading.add(entrant)
-        folder = self._directory / _UPLOADS
         try:
-            folder.mkdir(mode=0o700, exist_ok=True)
-            if shutil.disk_usage(folder).free < _ROOM * size:
+            if shutil.disk_usage(self._directory).free < _ROOM * size:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            with tempfile.NamedTemporaryFile(dir=folder, suffix=".tar") as file:
-                fcntl.flock(file, fcntl.LOCK_EX)
+            with tempfile.TemporaryFile(dir=self._directory) as file:
                 yield cast("BinaryIO", file)
         except OSError as error:
             why = f"the season's machine cannot keep the image: {error.strerror}; tell its organiser"
@@ -242,25 +239,23 @@ class _Entrance:
         """Return the entrant that has signed a request.
 
         Raises:
-            Denied: nobody has, or it asks too often.
+            Unsigned: nobody has, or the request has come before.
+        Denied: there is no such entrant, it asks too often, or the page was started since.
         """
         self._of_address.take(address_of(request))
-        entrant = request.headers.get(ENTRANT, "")
+        entrant: str = request.headers.get(ENTRANT, "")
         if not entrant or len(entrant) > _MOST_LETTERS or not entrant.isascii():
             raise Denied(f"the request needs the header {ENTRANT}: the name of the entrant", 403)
         key = (await self._ask({"do": "key", "entrant": entrant})).get("key")
         if not isinstance(key, str):
             raise Denied(f"there is no entrant {one_line(entrant)} in this season: glue-compete join", 403)
         now = self._now()
-        try:
-            check(decode(key), request.method, request.url.path, request.headers, now)
-            self._of_entrant.take(entrant)
-            if (late := self._began - int(request.headers[TIME])) > 0:  # an earlier page may have had it
-                raise Denied("the page was started after the request was signed: sign it anew", 503, late)
-            self._once.remember(request.headers, now)
-        except Unsigned as error:
-            raise Denied(f"the request {error}", 403) from None
-        return str(entrant)
+        check(decode(key), request.method, request.url.path, request.headers, now)
+        self._of_entrant.take(entrant)
+        if request.headers.get(START) != self._start:  # an earlier page may have had it
+            raise Denied("the request was signed for another start of the page: sign it anew", STARTED)
+        self._once.remember(request.headers, now)
+        return entrant
 
     async def _json(self, request: Request) -> Mapping[str, Any]:
         """Return the body of a request, if it is what was signed."""
@@ -308,17 +303,11 @@ async def _received(request: Request, file: BinaryIO, most: int, seconds: float)
         raise Denied("the body is not the one that was signed: send it again")
 
 
-def _remove_unless_received(upload: Path) -> None:
-    """Remove a file that a page which was killed has left, not one that another page is receiving."""
-    with suppress(OSError), open_regular(upload) as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        upload.unlink()
-
-
-async def _loaded(path: str, most: int, directory: Path) -> str:
+async def _loaded(file: BinaryIO, most: int, directory: Path) -> str:
     """Load an image into the engine, in a process of its own; return its id."""
-    command = (sys.executable, "-P", "-m", MODULE, path, str(most), str(directory))
-    process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
+    file.seek(0)
+    command = (sys.executable, "-P", "-m", MODULE, str(most), str(directory))
+    process = await asyncio.create_subprocess_exec(*command, stdin=file, stdout=asyncio.subprocess.PIPE)
     try:
         async with asyncio.timeout(_LOAD_SECONDS):
             printed, _ = await process.communicate()

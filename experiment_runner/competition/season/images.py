@@ -1,6 +1,6 @@
 """The image that an entrant has uploaded: check it, and load it into the engine without its names.
 
-    python -P -m experiment_runner.competition.season.images FILE BYTES DIR
+    python -P -m experiment_runner.competition.season.images BYTES DIR < FILE
 
 FILE is a tar of `docker save`, BYTES the size that its image may have, and DIR the season's directory. The
 result is a line of JSON: `id` of the image, or `error`. It is a process of its own, with little memory: a
@@ -37,7 +37,6 @@ from experiment_runner.competition.records.journal import utc_now
 from experiment_runner.competition.starters import name_of_run
 from glue.console import one_line
 from glue.errors import ConfigError, GlueError
-from glue.files import open_regular
 
 MODULE: Final = "experiment_runner.competition.season.images"
 
@@ -273,12 +272,12 @@ def _repository(directory: Path) -> str:
 
 
 def main() -> None:
-    """Check and load the file that the arguments name."""
-    path, most, directory = sys.argv[1:]
+    """Check and load the file at the standard input."""
+    most, directory = sys.argv[1:]
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     try:
-        with open_regular(Path(path)) as source, tempfile.TemporaryFile(dir=Path(path).parent) as copy:
-            copy_image(source, copy, int(most))
+        with tempfile.TemporaryFile(dir=directory) as copy:
+            copy_image(sys.stdin.buffer, copy, int(most))
             from experiment_runner.competition.containers import Containers  # needs an extra
 
             copy.seek(0)

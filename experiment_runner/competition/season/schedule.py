@@ -12,14 +12,14 @@ from typing import Final
 
 from experiment_runner.competition.records.journal import REQUEST, Act, act
 from experiment_runner.competition.season.control import TryLater
-from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
+from experiment_runner.competition.state import Attempt, Enrolled, State
 from glue.errors import ExperimentError
 
 _MOST_LEFT: Final = 100
 """Attempts of an entrant in a day that it may leave while they wait: they cost nothing, and are kept."""
 
 
-def queue(state: SeasonState) -> list[Attempt]:
+def queue(state: State) -> list[Attempt]:
     """Return the attempts that wait and may be let play, in the order in which they will be if none is added.
 
     An attempt's place in the queue is its place in this list.
@@ -34,7 +34,7 @@ def queue(state: SeasonState) -> list[Attempt]:
 
 
 def next_attempts(
-    state: SeasonState, now: datetime, ready: Callable[[Attempt], bool] = lambda one: True
+    state: State, now: datetime, ready: Callable[[Attempt], bool] = lambda one: True
 ) -> list[Attempt]:
     """Return the attempts that are to be let play now, in this order; none while the season is paused.
 
@@ -53,20 +53,20 @@ def next_attempts(
     return list(chosen.values())[: max(0, state.season.parallel - len(playing))]
 
 
-def left(state: SeasonState, entrant: Enrolled, now: datetime) -> int:
+def left(state: State, entrant: Enrolled, now: datetime) -> int:
     """Return the number of attempts that an entrant can still ask for today."""
     today = now.astimezone(state.season.days).date()
     return max(0, state.season.attempts_per_day - entrant.used[today]) + entrant.granted
 
 
-def returns_at(state: SeasonState, now: datetime) -> datetime | None:
+def returns_at(state: State, now: datetime) -> datetime | None:
     """Return when attempts are charged to the next day; None if the season closes before."""
     today = now.astimezone(state.season.days).date()
     midnight = datetime.combine(today + timedelta(days=1), time(), state.season.days)
     return midnight if midnight < state.season.closes else None
 
 
-def check_not_over(state: SeasonState, now: datetime) -> None:
+def check_not_over(state: State, now: datetime) -> None:
     """Check that entrants can still ask for something.
 
     Raises:
@@ -76,7 +76,7 @@ def check_not_over(state: SeasonState, now: datetime) -> None:
         raise ExperimentError(f"the season closed at {state.closed or state.season.closes}")
 
 
-def request(state: SeasonState, name: str, now: datetime) -> Act:
+def request(state: State, name: str, now: datetime) -> Act:
     """Return the act of queueing an entrant's next attempt.
 
     Raises:

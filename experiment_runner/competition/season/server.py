@@ -15,28 +15,28 @@ import base64
 import hashlib
 import hmac
 import math
-import re
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Final
 
 from experiment_runner.competition.aliases import derived, pseudonym
 from experiment_runner.competition.board.forms import line_of
-from experiment_runner.competition.course import IMAGE_ID, Course, course_of, entrant_of
+from experiment_runner.competition.course import Course, course_of, entrant_of
 from experiment_runner.competition.match import NOT_CONNECTED, Match
 from experiment_runner.competition.organiser import Matches, Say, matches
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.records.journal import Act, act
+from experiment_runner.competition.records.journal import Act, act, utc_now
 from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
 from experiment_runner.competition.season import control, schedule
-from experiment_runner.competition.season.acts import acts_for, competition_given
+from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
-from experiment_runner.competition.season.state import Attempt, Enrolled, SeasonState
-from experiment_runner.competition.season.worker import Replay, Verified
+from experiment_runner.competition.season.worker import Replay
 from experiment_runner.competition.settings import (
     NAMES,
     Competition,
@@ -45,6 +45,7 @@ from experiment_runner.competition.settings import (
     is_name,
 )
 from experiment_runner.competition.starters import name_of_run, starter_for
+from experiment_runner.competition.state import IMAGE_ID, Attempt, Enrolled
 from experiment_runner.competition.trials import attempt_trials, levels
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
@@ -53,8 +54,9 @@ from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.store import Store
 from glue.console import one_line
 from glue.errors import ConfigError, ExperimentError
+from glue.hub.io.listener import reserve
 from glue.keys.allowed import HUB
-from glue.keys.certificates import PUBLIC, encode, read_public
+from glue.keys.certificates import PUBLIC, SECRET, encode, read_pair, read_public
 from glue.keys.certificates import decode as decode_key
 
 _TURN_SECONDS: Final = 0.05
@@ -73,15 +75,13 @@ _PRESENT_SECONDS: Final = 15.0
 _SLACK_SECONDS: Final = 3600.0
 """Time that a trial may take beyond what its entrant's limits allow, as its environment takes time, too."""
 
-_REST_SECONDS: Final = (5.0, 600.0)
-"""Time before an entrant plays again after an attempt that failed here: at first, and at most."""
+_REST_SECONDS: Final = 5.0
+"""Time before a slot is used again after an attempt that failed there, and before its entrant plays again."""
 
-_PORT: Final = re.compile(r"(?P<host>tcp://.+):(?P<port>\d{1,5})")
+_MOST_DOUBLED: Final = 7
+"""Number of failures in a row with each of which an entrant's time is doubled."""
 
 _MAX_NAME: Final = 200
-
-_MOST_SHOWN: Final = 200
-"""Maximum number of waiting attempts in a status."""
 
 
 @dataclass(slots=True)
@@ -108,6 +108,21 @@ class _Slot:
     forfeit: str = ""
 
 
+@dataclass(slots=True)
+class _Job:
+    """A trial that is played or replayed.
+
+    Args:
+        until: when it has to be over.
+        replay: the job of replaying it; None if it is played.
+        verdict: the result of its replay.
+    """
+
+    until: float
+    replay: Replay | None
+    verdict: ReplayVerdict | None = None
+
+
 def gate_of(gate: Gate, slot: int) -> Gate:
     """Return the gate of a slot: the address of the first, with the port that many further on.
 
@@ -116,15 +131,34 @@ def gate_of(gate: Gate, slot: int) -> Gate:
     """
     if gate.bind.startswith("ipc://"):
         return replace(gate, bind=f"{gate.bind}-{slot}")
-    found = _PORT.fullmatch(gate.bind)
-    port = int(found["port"]) + slot if found else 0
-    if found is None or not 0 < port < 2**16:
+    host, _, port = gate.bind.rpartition(":")
+    found = int(port) + slot if port.isdecimal() and len(port) < 6 else 0
+    if not host.startswith("tcp://") or not 0 < found < 2**16:
         raise ConfigError(
             f"{gate.bind} is no address for {slot + 1} attempts at once, each with a port of its own: "
             "write one such as tcp://0.0.0.0:4097",
             settings=("bind",),
         )
-    return replace(gate, bind=f"{found['host']}:{port}")
+    return replace(gate, bind=f"{host}:{found}")
+
+
+def check_gate(competition: Competition, gate: Gate | None) -> None:
+    """Check that all who may connect from elsewhere can.
+
+    Raises:
+        ConfigError: there is no gate, it has no port for each slot, or a key cannot be read.
+    """
+    season = competition.season
+    assert season is not None
+    if gate is not None:
+        gate_of(gate, season.parallel - 1)
+        read_pair(gate.keys / f"{HUB}{SECRET}", "keys")
+    elif season.enrol != "closed" or any(entrant.key is not None for entrant in competition.entrants):
+        raise ConfigError(
+            "entrants with keys connect to this machine: give the directory of the hub's own pair (made by "
+            f"glue-keys new {HUB}), and an address to listen on",
+            settings=("keys", "bind"),
+        )
 
 
 class Server(Matches):
@@ -149,8 +183,9 @@ class Server(Matches):
         code: str | None,
         gate: Gate | None,
         say: Say,
-        now: Callable[[], datetime],
-        clock: Callable[[], float],
+        *,
+        now: Callable[[], datetime] = utc_now,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(store, say)
         self._competition = competition
@@ -163,46 +198,41 @@ class Server(Matches):
         course = course_of(store.directory)
         self._acts = list(course.acts)
         self._course = Course(course.competition, self._acts)
-        self._state = SeasonState.of(course)
+        self._state = self._course.state  # of the acts so far
         self._named = {entrant.name: entrant for entrant in competition.entrants}
-        self._keys: dict[str, str] = {}
-        """The public key of each entrant that has one."""
-        self._taken: set[tuple[str, str]] = set()
-        """The names, in small letters, the keys and the pseudonyms that no other entrant can have."""
-        for one in course.acts:
-            if one.act in (journal.ENTER, journal.ADD, journal.ENROL):
-                self._admit(one)
         self._directory = store.directory.absolute()
         self._slots: dict[str, _Slot] = {}
-        self._until: dict[str, float] = {}
-        """When each trial that is played or replayed has to be over."""
-        self._replays: dict[str, Replay] = {}
-        self._verified: dict[str, ReplayVerdict] = {}
+        self._jobs: dict[str, _Job] = {}
         self._seen: dict[str, float] = {}
         """When each entrant's program asked last."""
         self._queued: dict[str, float] = {}
         """When the last attempt of each entrant was queued by this server."""
-        self._rests: dict[str, tuple[float, float]] = {}
-        """When each entrant whose attempt failed here may play again, and how long it rests."""
-        self._slots_rest: dict[int, float] = {}
-        """When each slot in which an attempt failed may be used again: its port may be taken."""
+        self._rests: dict[str | int, float] = {}
+        """When an entrant whose attempt failed here may play again, and its slot: the port may be taken."""
         self._began = clock()
         self._looked = -math.inf
-        self._started = now()
         self._boards: Boards | None = None
         self._boards_of = 0  # the number of acts in it
         self._boards_until = 0.0  # when they may be computed again
 
-    def serve(self, door: Door, executor: Executor, interrupts: Interrupts) -> None:
+    def serve(self, executor: Executor) -> None:
         """Serve until the season is closed and what was played is over.
 
         Raises:
+            ConfigError: a port is in use.
             StorageError: the run cannot be written to.
             ExperimentError: the executor can run nothing.
             KeyboardInterrupt: on Ctrl-C or SIGTERM.
         """
-        dispatcher = Dispatcher(executor, self, interrupts)
-        with executor, interrupts.deferred():
+        with ExitStack() as stack:
+            if self._gate is not None:  # nobody else can take its ports between two matches
+                for slot in range(self._state.season.parallel):
+                    stack.enter_context(reserve(gate_of(self._gate, slot).bind))
+            door = stack.enter_context(Door(self._directory, self._clock))
+            interrupts = stack.enter_context(Interrupts())
+            dispatcher = Dispatcher(executor, self, interrupts)
+            stack.enter_context(executor)
+            stack.enter_context(interrupts.deferred())
             self.begin(dispatcher)
             while self.turn(_TURN_SECONDS) or not interrupts.requested:
                 if self.over:
@@ -218,12 +248,11 @@ class Server(Matches):
         """Go on with the attempts that were played when the server before this one ended."""
         super().begin(dispatcher)
         for name in self._named:
-            starter_for(self._player(self._state.entrants[name].act)).sweep(name_of_run(self._directory))
-        playing = {(one.entrant, one.number) for one in self._state.attempts("playing")}
+            starter_for(self._player(self._state.entrants[name].present)).sweep(name_of_run(self._directory))
         outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
-        for one in list(self._acts):
-            if one.act == journal.START and (one.subject, one.number) in playing:
-                self._take_slot(one, outcomes, verdicts, resumed=True)
+        for one in self._state.attempts("playing"):
+            assert one.start is not None
+            self._take_slot(one.start, outcomes, verdicts, resumed=True)
 
     def turn(self, seconds: float = 0.0) -> bool:
         """Start what can start, and store what is reported within `seconds`; return whether anything runs."""
@@ -246,8 +275,8 @@ class Server(Matches):
             case control.Attempt(name, number):
                 return self._attempt(name, number)
             case control.Key(name):
-                excluded = name in self._keys and self._state.entrants[name].excluded
-                return {"key": None if excluded else self._keys.get(name)}
+                entrant = self._state.entrants.get(name)
+                return {"key": None if entrant is None or entrant.excluded else entrant.key or None}
             case control.Withdraw(name, number):
                 return self._withdraw(name, number)
             case control.Submit():
@@ -256,12 +285,8 @@ class Server(Matches):
                 return self._status()
 
     def _organise(self, wanted: control.Organise) -> Reply:
-        outcomes = self._store.outcomes() if "/" in wanted.subject else ()
-        given = competition_given(wanted, self._course)
-        acts = acts_for(wanted, self._course, outcomes, self._now(), self._state)
-        if given is not None:
-            added = {one.subject for one in acts}
-            self._named |= {entrant.name: entrant for entrant in given.entrants if entrant.name in added}
+        acts = acts_for(wanted, self._course, (), self._now())
+        self._named |= {new.entrant.name: new.entrant for new in wanted.admitted}
         self._record(*acts)
         return {"acts": [line_of(one) for one in acts]}
 
@@ -283,23 +308,25 @@ class Server(Matches):
         except ValueError:
             raise ExperimentError("the key is not a public key, as glue-keys makes it") from None
         token = base64.urlsafe_b64encode(derived(self._secret, "token", name)[:18]).decode()
-        if self._keys.get(name) != key:
+        known = self._state.entrants.get(name)
+        if known is None or known.key != key:
             self._check_new(name, key)
             digest = hashlib.sha256(token.encode()).hexdigest()
-            taken = [alias for kind, alias in self._taken if kind == "alias"]
+            taken = {one.act.alias for one in self._state.entrants.values()}
             more = {"alias": pseudonym(name, self._secret, taken), "team": wanted.team, "token": digest}
-            self._record(act(journal.ENROL, name, "", now=self._now(), player=f"{name}.key", id=key, **more))
+            self._act(journal.ENROL, name, "", player=f"{name}.key", id=key, **more)
         hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
         return {"hub_key": hub_key, "token": token, "alias": self._state.entrants[name].act.alias}
 
     def _check_new(self, name: str, key: str) -> None:
-        if ("name", name.casefold()) in self._taken:
+        others = self._state.entrants.values()
+        if any(one.name.casefold() == name.casefold() for one in others):
             raise ExperimentError(f"the name {name} is taken: choose another")
-        if ("key", key) in self._taken:
+        if any(one.key == key for one in others):
             raise ExperimentError("the owner of this key takes part already, under another name")
-        if len(self._state.entrants) >= self._state.season.most_entrants:
+        if len(others) >= self._state.season.most_entrants:
             raise ExperimentError(
-                f"{len(self._state.entrants)} take part, and there is no room for more: ask the organiser"
+                f"{len(others)} take part, and there is no room for more: ask the organiser"
             )
 
     def _attempt(self, name: str, number: int) -> Reply:
@@ -330,7 +357,8 @@ class Server(Matches):
         if one.state == "playing":
             if slot is None or not slot.left:
                 return {"state": "verifying", **reply}
-            reply |= {**_progress(slot), "session": name}
+            trial, trials = len(slot.trials) - len(slot.left) + 1, len(slot.trials)
+            reply |= {"trial": trial, "trials": trials, "session": name}
             if slot.entrant.key is not None and self._gate is not None:
                 reply["hub"] = gate_of(self._gate, slot.number).bind
             return {"state": "playing", **reply}
@@ -358,13 +386,13 @@ class Server(Matches):
         clock = self._clock()
         if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
             self._boards, self._boards_of = None, len(self._acts)
-            self._boards = Boards.of(self._store, self._course, self._now())
+            self._boards = Boards.of(self._store, replace(self._course, acts=list(self._acts)), self._now())
             self._boards.seen_by(ANYBODY)
             self._boards_until = self._clock() + 4 * (self._clock() - clock)
         return self._boards
 
     def _withdraw(self, name: str, number: int) -> Reply:
-        one, now = self._state.attempt(name, number), self._now()
+        one = self._state.attempt(name, number)
         if one.state == "playing":
             raise ExperimentError(f"attempt {number} is played: it can be withdrawn when it is over")
         if one.withdrawn or one.state in ("ours", "cancelled"):
@@ -373,7 +401,7 @@ class Server(Matches):
         if kind == journal.WITHDRAW and count != "best":
             which = "the last attempt counts" if count == "last" else "all attempts count"
             raise ExperimentError(f"{which} in this season, so none that is over can be withdrawn")
-        self._record(act(kind, name, "its owner has withdrawn it", now=now, number=number))
+        self._act(kind, name, "its owner has withdrawn it", number=number)
         return {}
 
     def _submit(self, wanted: control.Submit) -> Reply:
@@ -384,46 +412,23 @@ class Server(Matches):
         if not IMAGE_ID.fullmatch(wanted.image):
             raise ExperimentError(f"{wanted.image!r:.80} is not the id of an image")
         name = one_line(wanted.name, _MAX_NAME)
-        self._record(act(journal.IMAGE, wanted.entrant, "", now=self._now(), player=name, id=wanted.image))
+        self._act(journal.IMAGE, wanted.entrant, "", player=name, id=wanted.image)
         return {}
 
     def _status(self) -> Reply:
-        state, now = self._state, self._now()
-        playing = [
-            {
-                "entrant": name,
-                "attempt": slot.attempt.number,
-                "state": "playing" if slot.left else "verifying",
-                **_progress(slot),
-                "slot": slot.number,
-            }
-            for name, slot in self._slots.items()
-        ]
-        waiting = [
-            {"entrant": one.entrant, "attempt": one.number, "state": "waiting", "place": place}
-            for place, one in enumerate(schedule.queue(state), 1)
-        ]
-        accepting = state.closed is None and state.season.opens <= now < state.season.closes
+        state = self._state
+        accepting = state.closed is None and state.season.opens <= self._now() < state.season.closes
         return {
-            "attempts": playing + waiting[:_MOST_SHOWN],
-            "waiting": len(waiting),
             "slots": state.season.parallel,
-            "busy": len(playing),
-            "entrants": len(state.entrants),
-            "connected": sum(self._present(name) for name in state.entrants),
+            "busy": len(self._slots),
             "accepting": accepting and not state.paused,
             "why": state.paused,
-            "started": self._started.isoformat(),
         }
 
     # What is played
 
-    def _admit(self, one: Act) -> None:
-        """Note who takes part."""
-        named = self._named.get(one.subject)
-        if named is None or named.key is not None:
-            self._keys[one.subject] = one.id
-        self._taken |= {("name", one.subject.casefold()), ("key", one.id), ("alias", one.alias)}
+    def _act(self, kind: str, name: str, reason: str, **more: Any) -> None:
+        self._record(act(kind, name, reason, now=self._now(), **more))
 
     def _record(self, *acts: Act) -> None:
         """Write acts to the journal, and carry them out."""
@@ -431,9 +436,7 @@ class Server(Matches):
         for one in acts:
             self._acts.append(one)
             self._state.apply(one)
-            if one.act in (journal.ADD, journal.ENROL):
-                self._admit(one)
-            elif one.act == journal.REQUEST:
+            if one.act == journal.REQUEST:
                 self._queued[one.subject] = self._clock()
             self._say(one.line)
         for slot in list(self._slots.values()):
@@ -447,22 +450,21 @@ class Server(Matches):
         if clock - self._looked < _LOOK_SECONDS:
             return
         self._looked = clock
-        state, time = self._state, self._now()
-        for trial_id in [trial_id for trial_id, until in self._until.items() if clock > until]:
+        state, now = self._state, self._now()
+        for trial_id in [trial_id for trial_id, job in self._jobs.items() if clock > job.until]:
             if (slot := self._slots.get(TrialId(trial_id).parts[0])) is not None:
                 self._fail(slot, f"{trial_id} has taken far too long")
         for one in state.attempts("waiting"):
             name = one.entrant
             asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
             if self._must_ask(one) and clock - asked > _ABSENT_SECONDS:
-                why = "its program has stopped asking for it"
-                self._record(act(journal.CANCEL, name, why, now=time, number=one.number))
-        if state.closed is None and state.season.opens <= time < state.season.closes:
+                self._act(journal.CANCEL, name, "its program has stopped asking for it", number=one.number)
+        if state.closed is None and state.season.opens <= now < state.season.closes:
             for name in self._named.keys() & state.entrants.keys():
                 entrant = state.entrants[name]
                 if not (entrant.attempts or entrant.excluded or self._has_key(name)):
-                    self._record(act(journal.REQUEST, name, "its first", now=time, number=1))
-        for one in schedule.next_attempts(state, time, self._is_ready):
+                    self._act(journal.REQUEST, name, "its first", number=1)
+        for one in schedule.next_attempts(state, now, self._is_ready):
             self._begin(one)
         for slot in list(self._slots.values()):
             self._go_on(slot)
@@ -476,19 +478,15 @@ class Server(Matches):
 
     def _is_ready(self, one: Attempt) -> bool:
         """Return whether an attempt that waits can be let play."""
-        rests_until, _ = self._rests.get(one.entrant, (0.0, 0.0))
         there = not self._has_key(one.entrant) or self._present(one.entrant)
-        return there and self._clock() >= rests_until
+        return there and self._clock() >= self._rests.get(one.entrant, -math.inf)
 
-    def _player(self, admitted: Act) -> Entrant:
+    def _player(self, playing: Act) -> Entrant:
         """Return an entrant as an act says that has its player and id."""
-        named = self._named.get(admitted.subject)
-        if named is None or (IMAGE_ID.fullmatch(admitted.id) and named.player != admitted.player):
-            return entrant_of(admitted)
-        return replace(named, id=admitted.id)
+        return entrant_of(playing, self._named.get(playing.subject))
 
     def _has_key(self, name: str) -> bool:
-        return self._player(self._state.entrants[name].act).key is not None
+        return self._player(self._state.entrants[name].present).key is not None
 
     def _begin(self, one: Attempt) -> None:
         """Let an attempt play, if there is a slot for it."""
@@ -502,17 +500,15 @@ class Server(Matches):
 
     def _plays(self, one: Attempt) -> Act:
         """Return an act with the player of an attempt: an image is run again as it was."""
-        present = self._state.entrants[one.entrant].act
-        for played in reversed(self._acts if one.instead else ()):
-            if (played.act, played.subject, played.number) == (journal.START, one.entrant, one.instead):
-                return played if IMAGE_ID.fullmatch(played.id) else present
-        return present
+        entrant = self._state.entrants[one.entrant]
+        before = entrant.attempts[one.instead].start if one.instead else None
+        return entrant.present if before is None or not IMAGE_ID.fullmatch(before.id) else before
 
     def _free_slot(self) -> int | None:
         """Return a slot that is free, and does not rest since an attempt failed there; None without one."""
         taken = {slot.number for slot in self._slots.values()}
         slots, now = range(self._state.season.parallel), self._clock()
-        rested = (slot for slot in slots if now >= self._slots_rest.get(slot, now))
+        rested = (slot for slot in slots if now >= self._rests.get(slot, now))
         return next((slot for slot in rested if slot not in taken), None)
 
     def _take_slot(
@@ -524,8 +520,7 @@ class Server(Matches):
         resumed: bool,
     ) -> None:
         """Let an attempt have a slot, with trials some of which may have been played already."""
-        name = start.subject
-        entrant = self._player(replace(self._state.entrants[name].act, player=start.player, id=start.id))
+        name, entrant = start.subject, self._player(start)
         specs = attempt_trials(self._levels, self._competition.trials, start)
         if not resumed:
             add_trials(self._store, specs)
@@ -549,21 +544,20 @@ class Server(Matches):
 
     def _go_on(self, slot: _Slot) -> None:
         """Play the next trial of an attempt, or end the attempt when there is none."""
-        if slot.left and slot.left[0] not in self._until:
+        if slot.left and slot.left[0] not in self._jobs:
             self._add(slot.left[0])
-        elif not slot.left and self._replays.keys().isdisjoint(slot.trials):
+        elif not slot.left and self._jobs.keys().isdisjoint(slot.trials):
             self._end(slot)
 
     def _verify(self, trial_id: str, outcome: TrialEnd) -> None:
         played = self.matches[trial_id]
-        self._replays[trial_id] = Replay(self._directory, played.spec, outcome, played.steps)
-        self._add(trial_id)
+        self._add(trial_id, Replay(self._directory, played.spec, outcome, played.steps))
 
-    def _add(self, trial_id: str) -> None:
+    def _add(self, trial_id: str, replay: Replay | None = None) -> None:
         """Let a trial be played, or replayed."""
         limits = self._competition.limits
         seconds = 2 * limits.start_seconds + limits.total_seconds + _SLACK_SECONDS
-        self._until[trial_id] = self._clock() + seconds
+        self._jobs[trial_id] = _Job(self._clock() + seconds, replay)
         self.dispatcher.add(trial_id)
 
     def _note_forfeit(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
@@ -578,14 +572,13 @@ class Server(Matches):
 
     def _end(self, slot: _Slot) -> None:
         """Record that an attempt is over, and pause an entrant that fails again and again."""
-        name, now = slot.entrant.name, self._now()
-        self._rests.pop(name, None)
-        self._record(act(journal.OVER, name, slot.forfeit, now=now, number=slot.attempt.number))
+        name = slot.entrant.name
+        self._act(journal.OVER, name, slot.forfeit, number=slot.attempt.number)
         most = self._state.season.failures
         entrant = self._state.entrants[name]
-        if entrant.failed >= most and not entrant.paused:
+        if entrant.failed >= most and not entrant.paused and self._state.closed is None:
             why = f"it has forfeited {most} attempts in a row, the last in {slot.forfeit}"
-            self._record(act(journal.PAUSE, name, why, now=now, number=most))
+            self._act(journal.PAUSE, name, why, number=most)
 
     def _fail(self, slot: _Slot, why: str) -> None:
         """Record that an attempt has failed, not by its entrant's fault, and let another wait for it."""
@@ -596,11 +589,10 @@ class Server(Matches):
         instead = slot.attempt.instead or slot.attempt.number
         why = f"instead of attempt {slot.attempt.number}"
         again = act(kind, name, why, now=now, number=len(attempts) + 1, instead=instead)
-        least, most = _REST_SECONDS
-        _, rest = self._rests.get(name, (0.0, least / 2))
-        rest = min(2 * rest, most)
-        self._rests[name] = self._clock() + rest, rest
-        self._slots_rest[slot.number] = self._clock() + least
+        ended = [one.state for one in reversed(attempts.values()) if one.state in ("over", "ours")]
+        failed = ended.index("over") if "over" in ended else len(ended)
+        self._rests[slot.number] = self._clock() + _REST_SECONDS
+        self._rests[name] = self._clock() + _REST_SECONDS * 2 ** min(failed, _MOST_DOUBLED)
         self._record(ours, *([] if self._state.closed else [again]))
 
     def _leave(self, slot: _Slot) -> None:
@@ -608,46 +600,43 @@ class Server(Matches):
         del self._slots[slot.entrant.name]
         for trial_id in slot.trials:
             self.forget(trial_id)
-            self._until.pop(trial_id, None)
-            self._replays.pop(trial_id, None)
-            self._verified.pop(trial_id, None)
+            self._jobs.pop(trial_id, None)
 
     # The collector of the dispatcher
 
     def start(self, trial_id: str) -> Match | Replay:
         """Return the job of a trial: its match, or its replay if it is over."""
-        return self._replays.get(trial_id) or super().start(trial_id)
+        return self._jobs[trial_id].replay or super().start(trial_id)
 
     def take(self, trial_id: str, report: Any) -> None:
         """Store a report."""
-        if isinstance(report, Verified):
-            self._verified[trial_id] = report.verdict
+        if isinstance(report, ReplayVerdict):
+            self._jobs[trial_id].verdict = report
         else:
             super().take(trial_id, report)
 
     def starts_again(self, trial_id: str) -> bool:
         """Return True: what was lost starts over."""
-        return trial_id in self._replays or super().starts_again(trial_id)
+        return self._jobs[trial_id].replay is not None or super().starts_again(trial_id)
 
     def end(self, trial_id: str, failure: str | None) -> None:
         """Store the outcome of a trial that was played, or the verdict of one that was replayed."""
         slot = self._slots[TrialId(trial_id).parts[0]]
-        self._until.pop(trial_id, None)
-        replayed = self._replays.pop(trial_id, None) is not None
+        job = self._jobs.pop(trial_id)
         if failure is not None:
             if trial_id in self._records:
                 super().end(trial_id, failure)
             self._fail(slot, failure)
-        elif replayed:
-            verdict = self._verified.pop(trial_id)
-            record_verdict(self._store, trial_id, verdict)
-            if verdict.problem is not None:
-                self._fail(slot, f"{trial_id} could not be verified: {verdict.problem}")
+        elif job.verdict is not None:
+            record_verdict(self._store, trial_id, job.verdict)
+            if job.verdict.problem is not None:
+                self._fail(slot, f"{trial_id} could not be verified: {job.verdict.problem}")
             else:
                 self._go_on(slot)
         elif slot.resumed and self._forfeits.get(trial_id, "").startswith(NOT_CONNECTED):
-            super().end(trial_id, "the server was restarted, and its program did not come back")
-            self._fail(slot, "the server was restarted, and its program did not come back")
+            why = "the server was restarted, and its program did not come back"
+            super().end(trial_id, why)
+            self._fail(slot, why)
         else:
             outcome = self._finish(trial_id)
             slot.resumed = False
@@ -655,9 +644,3 @@ class Server(Matches):
             slot.left.popleft()
             self._verify(trial_id, outcome)
             self._go_on(slot)
-
-
-def _progress(slot: _Slot) -> dict[str, int]:
-    """Return which trial of an attempt is played or was last, from 1, and how many there are."""
-    count = len(slot.trials)
-    return {"trial": min(count - len(slot.left) + 1, count), "trials": count}

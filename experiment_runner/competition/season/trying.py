@@ -36,14 +36,11 @@ def tasks_of(competition: Competition) -> Mapping[str, Any]:
     """Return the public part of the tasks of a season, for JSON."""
     tasks = []
     for task in competition.proving:
-        kept = (name for name in task.options if name not in _LEVELS or not task.hidden)
+        left_out = _LEVELS if task.hidden else ()
+        options = {name: value for name, value in task.options.items() if name not in left_out}
+        others = {one: getattr(task, one) for one in _OTHERS if getattr(task, one)}
         # A path of the organiser's machine says nothing elsewhere.
-        told = {
-            "name": task.name,
-            "env": Path(task.env).name,
-            "options": {one: task.options[one] for one in kept},
-        }
-        tasks.append(told | {one: getattr(task, one) for one in _OTHERS if getattr(task, one)})
+        tasks.append({"name": task.name, "env": Path(task.env).name, "options": options, **others})
     values = (competition.name, competition.trials, asdict(competition.limits), tasks)
     return dict(zip(_TOLD, values, strict=True))
 

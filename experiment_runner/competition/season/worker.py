@@ -1,18 +1,22 @@
-"""A worker of a season: it plays a trial, or replays one that is over."""
+"""A season's workers, which play a trial or replay one that is over, and the machines that they are on."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Self
 
 from experiment_runner.competition import match
 from experiment_runner.competition.match import Match, play
 from experiment_runner.competition.records.verify import judge
+from experiment_runner.competition.settings import Competition
 from experiment_runner.competition.starters import starter_for
-from experiment_runner.executors.job import Ended, decode
-from experiment_runner.executors.workers import serve
+from experiment_runner.executors.dispatcher import Executor
+from experiment_runner.executors.job import Ended, Lost, decode
+from experiment_runner.executors.workers import LocalExecutor, RayExecutor, serve
+from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
@@ -37,13 +41,7 @@ class Replay:
     steps: int
 
 
-class Verified(NamedTuple):
-    """A trial was replayed."""
-
-    verdict: ReplayVerdict
-
-
-REPORTS: Final[Mapping[str, type[Any]]] = {**match.REPORTS, Verified.__name__: Verified}
+REPORTS: Final[Mapping[str, type[Any]]] = {**match.REPORTS, ReplayVerdict.__name__: ReplayVerdict}
 """The reports of both, by name."""
 
 
@@ -54,8 +52,79 @@ def work(value: Any, send: Callable[[object], None]) -> None:
             play(job, send, starter_for(job.entrant))
         case Replay() as job:
             with Results.open(job.directory) as results:
-                send(Verified(judge(results, job.spec, job.outcome, job.steps)))
+                send(judge(results, job.spec, job.outcome, job.steps))
             send(Ended(None))
+
+
+def executor_of(competition: Competition, backend: Backend, address: str | None) -> Executor:
+    """Return the executor of a season's matches and replays: twice the slots, so that no replay waits long.
+
+    Args:
+        competition: the competition.
+        backend: this machine, or Ray.
+        address: of the Ray cluster; None for the one that Ray finds.
+
+    Raises:
+        ConfigError: Ray is not installed.
+    """
+    assert competition.season is not None
+    size = 2 * competition.season.parallel
+    here = LocalExecutor(size, MODULE, REPORTS, warm=[task.env for task in competition.proving])
+    if backend is Backend.RAY:
+        return Spread(here, RayExecutor(address, size, work, match.REPORTS))
+    return here
+
+
+class Spread:
+    """Executor of matches on a cluster; see `experiment_runner.executors.dispatcher.Executor`.
+
+    Entrants with keys connect to this machine, and replays read the run's directory: both are done here.
+
+    Args:
+        here: runs these.
+        there: runs all other matches.
+    """
+
+    def __init__(self, here: LocalExecutor, there: RayExecutor) -> None:
+        self.size: int = here.size
+        self._here = here
+        self._there = there
+        self._away: set[str] = set()
+        self._stack = ExitStack()
+
+    def start(self, job: Any) -> None:
+        """Start a job where it can run."""
+        if isinstance(job, Match) and job.entrant.key is None and job.entrant.folder is None:
+            self._away.add(job.spec.id)
+            self._there.start(job)
+        else:
+            self._here.start(job)
+
+    def receive(self, seconds: float) -> list[tuple[str, Any]]:
+        """Return reports with the ids of their trials; wait at most `seconds`."""
+        if not self._away:
+            return self._here.receive(seconds)
+        received = self._there.receive(seconds)
+        self._away -= {trial_id for trial_id, report in received if isinstance(report, (Ended, Lost))}
+        return [*received, *self._here.receive(0)]
+
+    def cancel(self, trial_id: str) -> None:
+        """End the job of a trial."""
+        (self._there if trial_id in self._away else self._here).cancel(trial_id)
+        self._away.discard(trial_id)
+
+    def stop(self) -> None:
+        """Ask all jobs to end soon."""
+        self._here.stop()
+        self._there.stop()
+
+    def __enter__(self) -> Self:
+        self._stack.enter_context(self._there)
+        self._stack.enter_context(self._here)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
 
 
 def main() -> None:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from typing import Any, Final
@@ -119,26 +118,6 @@ def digit_of(action: Action) -> str:
 def is_won(game: Game) -> bool:
     """Return whether the episode of a game has ended at the goal."""
     return bool(not game.world.playing and game.world.win_timer > 0)
-
-
-def play(agent: AgentLike, game: Game, observation: Observation, chosen: Callable[[Action], object]) -> float:
-    """Play the episode that a game has begun; return the sum of its rewards.
-
-    Args:
-        agent: initialised; it is not notified of the end of the episode.
-        game: of Infinite Mario.
-        observation: the first one.
-        chosen: called with each action before it is carried out.
-    """
-    total, ended = 0.0, False
-    action = agent.agent_start(observation)
-    while not ended:
-        chosen(action)
-        reward, observation, ended = game.step(*InfiniteMario.buttons_of(action))
-        total += reward
-        if not ended:
-            action = agent.agent_step(reward, observation)
-    return total
 
 
 class Noise:

@@ -37,22 +37,15 @@ class Interval(NamedTuple):
     high: float
 
 
-class Summary(NamedTuple):
-    """Mean goal rate and interquartile mean of the returns: on training levels, on unseen ones, the gap."""
-
-    goal_rate: tuple[Interval, Interval, Interval]
-    episode_return: tuple[Interval, Interval, Interval]
-
-
-def summarise(document: Document) -> Summary:
-    """Return the summary of the scores on training levels and on unseen ones."""
+def summarise(document: Document) -> list[Interval]:
+    """Return the goal rate and the mean return, each on training levels, on unseen ones, and the gap."""
     trials = document["trials"]
     train, test = (
         [_scores([trial[levels] for trial in trials], what) for what in _SCORES]
         for levels in ("train", "test")
     )
     goals, returns = zip(train, test, strict=True)
-    return Summary(_compare(*goals, mean), _compare(*returns, interquartile_mean))
+    return [*_compare(*goals, mean), *_compare(*returns, interquartile_mean)]
 
 
 def table(documents: Sequence[Document], solvable: Set[int] = frozenset(), *, plain: bool = False) -> str:
@@ -83,11 +76,8 @@ def table(documents: Sequence[Document], solvable: Set[int] = frozenset(), *, pl
 
 
 def _gap_row(document: Document) -> list[str]:
-    summary = summarise(document)
-    cells = [document["name"], str(len(document["trials"]))]
-    cells += [_text(part, 3) for part in summary.goal_rate]
-    cells += [_text(part, 1) for part in summary.episode_return]
-    return cells
+    cells = map(_text, summarise(document), (3, 3, 3, 1, 1, 1))
+    return [document["name"], str(len(document["trials"])), *cells]
 
 
 def _by_difficulty(document: Document, messages: Sequence[str], solvable: Set[int]) -> list[list[str]]:

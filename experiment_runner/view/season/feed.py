@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from hashlib import sha256
-from typing import Final, NamedTuple
+from typing import Final
 from xml.etree import ElementTree
 
 from experiment_runner.competition.board.forms import line_of, number
@@ -17,41 +17,36 @@ _NAMESPACE: Final = "http://www.w3.org/2005/Atom"
 _NOT_IN_XML: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 
-class _Entry(NamedTuple):
-    time: str
-    title: str
-
-
 def feed_of(board: SeasonBoard) -> bytes:
     """Return the newest entries of a board as a feed."""
     entries = sorted(_entries(board), reverse=True)[:_MOST]
     feed = ElementTree.Element("feed", xmlns=_NAMESPACE)
     _add(feed, "id", _id(board.competition))
     _add(feed, "title", board.competition)
-    _add(feed, "updated", entries[0].time if entries else board.opens)
+    _add(feed, "updated", entries[0][0] if entries else board.opens)
     _add(_add(feed, "author", ""), "name", board.competition)
     ElementTree.SubElement(feed, "link", href="./")
-    for one in entries:
+    for time, title in entries:
         entry = ElementTree.SubElement(feed, "entry")
-        _add(entry, "id", _id(board.competition, *one))
-        _add(entry, "title", one.title)
-        _add(entry, "updated", one.time)
+        _add(entry, "id", _id(board.competition, time, title))
+        _add(entry, "title", title)
+        _add(entry, "updated", time)
         ElementTree.SubElement(entry, "link", href="./")
     return bytes(ElementTree.tostring(feed, encoding="utf-8", xml_declaration=True))
 
 
-def _entries(board: SeasonBoard) -> Iterator[_Entry]:
-    for time, text in board.announcements:
-        yield _Entry(time, text)
+def _entries(board: SeasonBoard) -> Iterator[tuple[str, str]]:
+    """Yield the time and title of each event."""
+    yield from board.announcements
     for act in board.acts:
-        yield _Entry(act.time, line_of(act))
+        yield act.time, line_of(act)
     for entrant in board.entrants:
         for one in entrant.attempts:
             if one.ended and one.state == "verified":
                 score = f", score {number(one.score)}" if board.tasks else ""
-                yield _Entry(one.ended, f"{entrant.shown}: attempt {one.number} verified{score}")
+                yield one.ended, f"{entrant.shown}: attempt {one.number} verified{score}"
             elif one.ended and one.state == "forfeited":
-                yield _Entry(one.ended, f"{entrant.shown}: attempt {one.number} forfeited")
+                yield one.ended, f"{entrant.shown}: attempt {one.number} forfeited"
 
 
 def _id(*parts: str) -> str:

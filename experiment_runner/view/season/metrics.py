@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from experiment_runner.competition.season.state import SeasonState
+from experiment_runner.competition.state import State
 from glue.installed import needing
 
 
-def metrics_of(state: SeasonState, status: Mapping[str, Any] | None) -> tuple[bytes, str]:
+def metrics_of(state: State, status: Mapping[str, Any] | None) -> tuple[bytes, str]:
     """Return the numbers in Prometheus's text format, and its media type.
 
     Args:
@@ -28,9 +28,7 @@ def metrics_of(state: SeasonState, status: Mapping[str, Any] | None) -> tuple[by
     def gauge(name: str, text: str, value: float) -> None:
         prometheus.Gauge(f"glue_season_{name}", text, registry=registry).set(value)
 
-    states = Counter[str]()
-    for entrant in state.entrants.values():
-        states.update(one.state for one in entrant.attempts.values())
+    states = Counter(one.state for entrant in state.entrants.values() for one in entrant.attempts.values())
     gauge("entrants", "Entrants that have enrolled.", len(state.entrants))
     attempts = prometheus.Gauge("glue_season_attempts", "Attempts by state.", ["state"], registry=registry)
     for name, number in states.items():

@@ -23,7 +23,6 @@ from experiment_runner.competition.season.control import NoServer, Reply, ask
 from experiment_runner.view.app import application, file_routes, static_file
 from experiment_runner.view.guard import READING, Address, Guard, cookie_of
 from experiment_runner.view.season.metrics import metrics_of
-from experiment_runner.view.season.replays import Replays
 from experiment_runner.view.season.views import Views, digest_of
 from experiment_runner.view.server import Connection
 from experiment_runner.view.stream import Cache, Reader, json_response
@@ -33,6 +32,9 @@ _ENTRANCE: Final = "/season/api/"
 
 _UPLOAD: Final = "/season/api/image"
 _ASK_SECONDS: Final = 2.0
+_MOST_REPLAYS: Final = 8
+"""Replays that may wait: one thread plays them, one at a time, for seconds of a core each."""
+
 _VIEWER: Final = "viewer"
 
 
@@ -51,19 +53,22 @@ class SeasonGuard(Guard):
     Args:
         app, address: as for `Guard`.
         viewers: who may see more, by the digest of their token.
+
+    Attributes:
+        cookie: name of the cookie with a viewer's token.
     """
 
     def __init__(self, app: ASGIApp, address: Address, viewers: Mapping[str, str]) -> None:
         super().__init__(app, address)
         self._viewers = viewers
-        self._cookie = _cookie(address)
+        self.cookie: str = f"glue-season-{address.port}"  # cookies do not distinguish ports
 
     def refusal(self, request: Request) -> Response | None:
         """Return the refusal of a request that neither reads nor is for the entrance."""
         path = request.url.path
         if request.method not in READING and not path.startswith(_ENTRANCE):
             return PlainTextResponse("The page can only be read.", 405, {"Allow": ", ".join(READING)})
-        viewer = self._viewers.get(digest_of(cookie_of(request, self._cookie)), PUBLIC)
+        viewer = self._viewers.get(digest_of(cookie_of(request, self.cookie)), PUBLIC)
         request.scope[_VIEWER] = viewer
         if viewer != PUBLIC or (path == _UPLOAD and request.method == "PUT"):
             self.admit(request)
@@ -82,11 +87,25 @@ def season_page(views: Views, address: Address, entrance: Callable[[Path], list[
         ExperimentError: the season cannot be read.
     """
     directory, viewers = views.directory, dict(views.viewers())
-    read, server, replays, answers = Reader("views"), Reader("server"), Replays(), Cache()
+    read, server, replays = Reader("views"), Reader("server"), Reader("replays", _MOST_REPLAYS)
+    answers = Cache()
 
-    async def changing(request: Request, kind: str, what: Callable[[str], bytes]) -> Response:
-        viewer: str = request.scope[_VIEWER]
-        return _unchanged_or(request, await read(lambda: what(viewer)), kind)
+    def showing(
+        content: Callable[..., bytes], kind: str = "application/json", read: Reader = read
+    ) -> Callable[[Request], Awaitable[Response]]:
+        """Return the endpoint that shows a viewer the content for the parameters of the path."""
+
+        async def show(request: Request) -> Response:
+            viewer = request.scope[_VIEWER]
+            found = await read(lambda: content(viewer, **request.path_params))
+            # The browser keeps it and asks about it, and is answered without content if it has not changed.
+            tag = f'"{sha256(found).hexdigest()[:32]}"'
+            headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Cookie"}
+            if request.headers.get("if-none-match") == tag:
+                return Response(status_code=304, headers=headers)
+            return Response(found, media_type=kind, headers=headers)
+
+        return show
 
     async def first(request: Request) -> Response:
         token = request.query_params.get("token")
@@ -95,27 +114,7 @@ def season_page(views: Views, address: Address, entrance: Callable[[Path], list[
         viewers.update(await server(views.viewers))  # it may have enrolled a moment ago
         if digest_of(token) not in viewers:
             return PlainTextResponse("This token opens nothing here: the page itself is open to all.", 403)
-        return guard.logged_in(_cookie(address), token)
-
-    async def board(request: Request) -> Response:
-        return await changing(request, "application/json", views.board)
-
-    async def entrant(request: Request) -> Response:
-        name = request.path_params["name"]
-        return await changing(request, "application/json", lambda viewer: views.entrant(viewer, name))
-
-    async def feed(request: Request) -> Response:
-        return await changing(request, "application/atom+xml", lambda _: views.feed())
-
-    async def listing(request: Request) -> Response:
-        viewer, (name, attempt) = request.scope[_VIEWER], request.path_params.values()
-        content = await replays(lambda: views.replays(viewer, name, attempt))
-        return _unchanged_or(request, content, "application/json")
-
-    async def replay(request: Request) -> Response:
-        viewer, where = request.scope[_VIEWER], request.path_params.values()
-        content = await replays(lambda: views.replay(viewer, *where))
-        return _unchanged_or(request, content, "application/octet-stream")
+        return guard.logged_in(guard.cookie, token)
 
     def status() -> Reply | None:
         """Return the status of the server, which is asked once a second at most."""
@@ -138,31 +137,21 @@ def season_page(views: Views, address: Address, entrance: Callable[[Path], list[
         content, kind = await read(lambda: metrics_of(views.state, found))
         return Response(content, media_type=kind)
 
-    index: Callable[[Request], Awaitable[Response]] = static_file("season.html")
+    index = static_file("season.html")
     routes = [
         Route("/", first),
         *file_routes(),
-        Route("/season.json", board),
-        Route("/entrants/{name}.json", entrant),
-        Route("/feed.xml", feed),
-        Route("/replays/{name}/{attempt:int}.json", listing),
-        Route("/replays/{name}/{attempt:int}/{task}/{trial:int}/{episode:int}", replay),
+        Route("/season.json", showing(views.board)),
+        Route("/entrants/{shown}.json", showing(views.entrant)),
+        Route("/feed.xml", showing(lambda _: views.feed(), "application/atom+xml")),
+        Route("/replays/{shown}/{attempt:int}.json", showing(views.replays, read=replays)),
+        Route(
+            "/replays/{shown}/{attempt:int}/{task}/{trial:int}/{episode:int}",
+            showing(views.replay, "application/octet-stream", replays),
+        ),
         Route("/healthz", healthz),
         Route("/metrics", metrics),
         *entrance(directory),
     ]
     guard = SeasonGuard(application(routes, "entrant, attempt or trial"), address, viewers)
     return guard
-
-
-def _cookie(address: Address) -> str:
-    return f"glue-season-{address.port}"  # cookies do not distinguish ports
-
-
-def _unchanged_or(request: Request, content: bytes, kind: str) -> Response:
-    """Return a response that the browser keeps and asks about, without content if it has not changed."""
-    tag = f'"{sha256(content).hexdigest()[:32]}"'
-    headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Cookie"}
-    if request.headers.get("if-none-match") == tag:
-        return Response(status_code=304, headers=headers)
-    return Response(content, media_type=kind, headers=headers)

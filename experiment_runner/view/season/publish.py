@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
@@ -37,21 +38,27 @@ class Publisher:
         Raises:
             ExperimentError: the season cannot be read, or a file not be written.
         """
-        first = not self._written
-        if first:
-            for name in static_files():
-                where = "index.html" if name == "season.html" else f"static/{name}"
-                self._write(where, static_content(name))
-        for name, content in self._files():
-            self._write(name, content)
-        if first:
-            self._remove_other_names()
+        files = dict(self._files())
+        for name, content in files.items():
+            if self._written.get(name) != hash(content):
+                path = self._folder / name
+                with reported(f"cannot write {path}"):
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                replace_flushed(path, content)
+                self._written[name] = hash(content)
+        for one in self._views.state.entrants.values():
+            for shown in (one.name, one.act.alias):
+                name = f"entrants/{shown}.json"
+                if name not in files:  # the season may have shown its entrants by the other of their names
+                    with reported(f"cannot remove {self._folder / name}"):
+                        (self._folder / name).unlink(missing_ok=True)
+                    self._written.pop(name, None)
 
     def keep(self, say: Callable[[str], None]) -> None:
         """Publish now, and every minute in a thread that does not keep the program from ending.
 
         Args:
-            say: shows a line when it fails, and when it works again.
+            say: shows a line when it fails.
 
         Raises:
             ExperimentError: as by `publish`, now.
@@ -61,40 +68,23 @@ class Publisher:
         def work() -> None:
             failed = ""
             while True:
-                pause.wait(_SECONDS)
+                time.sleep(_SECONDS)
                 try:
                     self.publish()
+                    failed = ""
                 except ExperimentError as error:
                     if str(error) != failed:
                         failed = str(error)
                         say(f"the page is not published: {failed}")
-                else:
-                    failed = ""
 
-        pause = threading.Event()
         threading.Thread(target=work, name="publisher", daemon=True).start()
 
     def _files(self) -> Iterator[tuple[str, bytes]]:
+        for name in static_files():
+            yield "index.html" if name == "season.html" else f"static/{name}", static_content(name)
         board = json.loads(self._views.board(PUBLIC))
         # No server is there to play records again.
         yield "season.json", json.dumps(board | {"replays": False}).encode()
         yield "feed.xml", self._views.feed()
         for entrant in board["entrants"]:
             yield f"entrants/{entrant['name']}.json", self._views.entrant(PUBLIC, entrant["name"])
-
-    def _remove_other_names(self) -> None:
-        """Remove what was published while the season showed its entrants by the other of their names."""
-        for one in self._views.state.entrants.values():
-            for shown in filter(None, (one.name, one.act.alias)):
-                name = f"entrants/{shown}.json"
-                if name not in self._written:
-                    with reported(f"cannot remove {self._folder / name}"):
-                        (self._folder / name).unlink(missing_ok=True)
-
-    def _write(self, name: str, content: bytes) -> None:
-        if self._written.get(name) != hash(content):
-            path = self._folder / name
-            with reported(f"cannot write {path}"):
-                path.parent.mkdir(parents=True, exist_ok=True)
-            replace_flushed(path, content)
-            self._written[name] = hash(content)

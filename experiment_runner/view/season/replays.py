@@ -1,23 +1,20 @@
 """Records of a competition, played again for the page: they hold actions, and the environment the pictures.
 
-An environment is deterministic, so it has to play all episodes up to the one that is shown. One thread plays,
-one episode at a time, and only so many may wait for it.
+An environment is deterministic, so it has to play all episodes up to the one that is shown.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from starlette.exceptions import HTTPException
 
 from experiment_runner.competition.records.replay import made_for
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.view.episodes import packed
-from experiment_runner.view.stream import Reader
 from glue.errors import ExperimentError
 from glue.trajectory import TrajectoryReader
 from glue.trajectory.records import Steps
@@ -27,33 +24,7 @@ _MOST_STEPS: Final = 300_000
 """Of all episodes up to the one that is shown: some seconds of a core."""
 
 _MOST_BYTES: Final = 64 * 2**20
-_MOST_WAITING: Final = 8
-_WAIT_SECONDS: Final = 5
 _REWARD: Final = struct.Struct("<d")
-
-
-class Replays:
-    """Plays records again, one at a time."""
-
-    def __init__(self) -> None:
-        self._read = Reader("replays")
-        self._waiting = 0
-
-    async def __call__(self, function: Callable[[], Any]) -> Any:
-        """Return the result of a function that plays or reads records.
-
-        Raises:
-            HTTPException: too many wait already.
-        """
-        if self._waiting >= _MOST_WAITING:
-            raise HTTPException(
-                503, "others watch replays: try again soon", {"Retry-After": f"{_WAIT_SECONDS}"}
-            )
-        self._waiting += 1
-        try:
-            return await self._read(function)
-        finally:
-            self._waiting -= 1
 
 
 def replayed(name: str, spec: TrialSpec, path: Path, wanted: int) -> bytes:
@@ -83,7 +54,7 @@ def replayed(name: str, spec: TrialSpec, path: Path, wanted: int) -> bytes:
         steps = Steps()
         size = 0
         for step in episode.steps:
-            found = step_of(environment, environment.env_step(step.action))
+            found = step_of(environment.env_step(step.action))
             if count == wanted:
                 observation = found.observation.body
                 size += len(observation)

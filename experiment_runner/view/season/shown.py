@@ -10,8 +10,8 @@ from typing import Any, Final
 from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.season.board import ORGANISER, PUBLIC, AttemptRow, EntrantRow, SeasonBoard
 from experiment_runner.competition.season.schedule import left, returns_at
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import Competition, Season
+from experiment_runner.competition.state import State
 from experiment_runner.report import svg
 from experiment_runner.store.run_data import finite
 
@@ -32,7 +32,7 @@ _BYTES_OF_GIB: Final = 2**30
 
 
 def board_as_json(
-    board: SeasonBoard, state: SeasonState, rules: Sequence[str], viewer: str, now: datetime
+    board: SeasonBoard, state: State, rules: Sequence[str], viewer: str, now: datetime
 ) -> dict[str, Any]:
     """Return the board as JSON, without the attempts of the entrants.
 
@@ -144,7 +144,7 @@ def _times(number: int) -> str:
     return "once" if number == 1 else f"{number} times"
 
 
-def _left(state: SeasonState, name: str, now: datetime) -> str:
+def _left(state: State, name: str, now: datetime) -> str:
     """Return how many attempts an entrant has left, and when more come."""
     number, more = left(state, state.entrants[name], now), returns_at(state, now)
     when = "" if more is None else f"; a new day begins at {_minute(more.astimezone(UTC).isoformat())}"

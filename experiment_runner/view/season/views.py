@@ -14,7 +14,7 @@ from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.records.copies import with_copies
 from experiment_runner.competition.records.record import record_path
 from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards
-from experiment_runner.competition.season.state import SeasonState
+from experiment_runner.competition.state import State
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.database import DATABASE_FILES, reported
 from experiment_runner.store.layout import JOURNAL_FILE, TOKEN_FILE
@@ -41,12 +41,11 @@ class _Season(NamedTuple):
     """A season as it was read.
 
     signs       differ when it has changed
-    boards, state, course
+    boards, course
     """
 
     signs: object
     boards: Boards
-    state: SeasonState
     course: Course
 
 
@@ -66,21 +65,21 @@ class Views:
         self._known: tuple[object, dict[str, str]] = object(), {}
 
     @property
-    def state(self) -> SeasonState:
+    def state(self) -> State:
         """The state of the season.
 
         Raises:
             ExperimentError: the season cannot be read.
         """
-        return self._season().state
+        return self._season().course.state
 
     def board(self, viewer: str) -> bytes:
         """Return the board as JSON."""
 
         def compute(season: _Season) -> object:
-            rules = rules_of(season.course.competition, season.state.season)
-            board = season.boards.seen_by(viewer)
-            return board_as_json(board, season.state, rules, viewer, self._clock())
+            state = season.course.state
+            rules = rules_of(season.course.competition, state.season)
+            return board_as_json(season.boards.seen_by(viewer), state, rules, viewer, self._clock())
 
         return self._json(("board", viewer), compute)
 
@@ -108,8 +107,9 @@ class Views:
         with self._lock:
             signs = version(self.directory / JOURNAL_FILE)
             if self._known[0] != signs:
-                entrants = SeasonState.of(course_of(self.directory)).entrants
-                found = {one.act.token: name for name, one in entrants.items() if one.act.token}
+                state = course_of(self.directory).state
+                state.season  # noqa: B018  # there has to be one
+                found = {one.act.token: name for name, one in state.entrants.items() if one.act.token}
                 organiser = digest_of(organisers_token(self.directory))
                 self._known = signs, found | {organiser: ORGANISER}
             return self._known[1]
@@ -149,7 +149,7 @@ class Views:
         row = row_of(board, shown)
         if not any(one.number == attempt and one.state == "verified" for one in row.attempts):
             raise KeyError(shown)
-        entrants = season.state.entrants.items()
+        entrants = season.course.state.entrants.items()
         name = row.name or next((name for name, one in entrants if one.act.alias == shown), shown)
         count = season.course.competition.trials
         return {
@@ -176,7 +176,7 @@ class Views:
         with Results.open(self.directory) as results:
             boards = Boards.of(results, course, self._clock())
         boards.seen_by(PUBLIC)  # counts as part of the time that it takes
-        return _Season(signs, boards, SeasonState.of(course), course)
+        return _Season(signs, boards, course)
 
     def _signs(self) -> object:
         names = (*DATABASE_FILES[:2], JOURNAL_FILE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,13 +10,11 @@ from typing import Final
 from glue.conform.rules import Broken
 from glue.errors import RemoteProtocolError
 from glue.system import clock, network
+from glue.system.sockets import never_wait, reset_when_closed, wait_for
 from glue.wire import zmtp
-from glue.wire.messages import MAX_BODY, MAX_HEADER
+from glue.wire.messages import MAX_FRAME
 
 _CHUNK: Final = 65_536
-_MAX_FRAME: Final = 2 * MAX_BODY + MAX_HEADER
-_RESET: Final = struct.pack("ii", 1, 0)
-"""SO_LINGER: unsent data is dropped, and the other side sees a reset."""
 
 
 class Gone(Exception):
@@ -34,6 +31,7 @@ class Listener:
     def __init__(self, scheme: str) -> None:
         # Not glue-...: runs of earlier versions connect to the sockets in such folders.
         self._folder = tempfile.TemporaryDirectory(prefix="conform-") if scheme == "ipc" else None
+        self._path = None if self._folder is None else Path(self._folder.name) / "hub"
         self._port = 0
         self._socket: network.socket | None = None
         self.open()
@@ -41,13 +39,11 @@ class Listener:
     @property
     def url(self) -> str:
         """The address for a client."""
-        if self._folder is not None:
-            return f"ipc://{self._path}"
-        return f"tcp://127.0.0.1:{self._port}"
+        return f"tcp://127.0.0.1:{self._port}" if self._path is None else f"ipc://{self._path}"
 
     def open(self) -> None:
         """Listen."""
-        if self._folder is None:
+        if self._path is None:
             self._socket = network.create_server(("127.0.0.1", self._port))
             self._port = self._socket.getsockname()[1]
         else:
@@ -60,7 +56,7 @@ class Listener:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-            if self._folder is not None:
+            if self._path is not None:
                 self._path.unlink()
 
     def remove(self) -> None:
@@ -79,23 +75,16 @@ class Listener:
     def waits(self, seconds: float) -> bool:
         """Return whether a connection can be accepted within `seconds`."""
         assert self._socket is not None
-        return _ready(self._socket, network.POLLIN, seconds)
-
-    @property
-    def _path(self) -> Path:
-        assert self._folder is not None
-        return Path(self._folder.name) / "hub"
+        return wait_for(self._socket, network.POLLIN, seconds)
 
 
 class Connection:
     """One connection."""
 
     def __init__(self, connected: network.socket) -> None:
-        connected.setblocking(False)
-        if connected.family != network.AF_UNIX:
-            connected.setsockopt(network.IPPROTO_TCP, network.TCP_NODELAY, 1)
+        never_wait(connected)
         self._socket = connected
-        self._decoder = zmtp.Decoder(zmtp.ROUTER, _MAX_FRAME)
+        self._decoder = zmtp.Decoder(zmtp.ROUTER, MAX_FRAME)
         self._raw = b""  # bytes received in the handshake
         self._early: list[bytes] | None = None  # a message received along with READY
         self._heard = b""  # bytes received recently
@@ -150,7 +139,7 @@ class Connection:
             try:
                 rest = rest[self._socket.send(rest) :]
             except BlockingIOError:
-                _ready(self._socket, network.POLLIN | network.POLLOUT, 1.0)
+                wait_for(self._socket, network.POLLIN | network.POLLOUT, 1.0)
                 self._read(clock.monotonic())
                 if clock.monotonic() > deadline:
                     raise Broken("a client that reads", f"{len(rest)} bytes that it has not read") from None
@@ -196,7 +185,7 @@ class Connection:
 
         Only for use while no message is under way.
         """
-        _ready(self._socket, network.POLLIN, wait)
+        wait_for(self._socket, network.POLLIN, wait)
         try:
             data = self._socket.recv(_CHUNK)
         except BlockingIOError:
@@ -220,7 +209,7 @@ class Connection:
     def close(self, reset: bool = False) -> None:
         """Close the connection; with `reset`, as when a program is killed."""
         if reset:
-            self._socket.setsockopt(network.SOL_SOCKET, network.SO_LINGER, _RESET)
+            reset_when_closed(self._socket)
         self._socket.close()
 
     def _read(self, deadline: float) -> bool:
@@ -230,10 +219,3 @@ class Connection:
         self._heard += data
         self._decoder.receive_data(data)
         return bool(data)
-
-
-def _ready(socket: network.socket, events: int, seconds: float) -> bool:
-    """Return whether one of these events of a socket occurs within `seconds`."""
-    poller = network.poll()
-    poller.register(socket, events)
-    return bool(poller.poll(max(0.0, seconds) * 1000))

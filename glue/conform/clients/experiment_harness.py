@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any, Final
 
 from glue.client.bodies import READ, write
-from glue.conform.clients.harness import MAX_BODY, Exchange, Harness
+from glue.conform.clients.harness import SPEC, Exchange, Harness
 from glue.conform.clients.mirror import carry_out
 from glue.engine.experiment import Experiment
 from glue.types import AbstractType, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
-from glue.wire.messages import BESIDE, CALLS, Event, Kind, Message, Role, Value
+from glue.wire.messages import CALLS, PLAYERS, Event, Kind, Message, Value
 
-SPEC: Final = "a task for a mirror, größer als nötig".encode()
 SEEN: Final = Observation([3, 5], [0.5], b"ab")
 DONE: Final = Action([7], [-0.25], b"c")
 BOTH: Final = SEEN.body + DONE.body
@@ -43,6 +42,19 @@ class Order:
         return Observation(self.shown.ints, self.shown.doubles, chars, mask=mask)
 
 
+_EPISODE: Final = (
+    Order("RL_INIT", b"2026", body=SPEC),
+    Order("RL_START", body=BOTH),
+    Order("RL_STEP", scalars=(-1.0, False), body=BOTH),
+    Order("RL_AGENT_MESSAGE", b"how are you?", body=b"well"),
+    Order("RL_STEP", scalars=(0.25, True), body=BOTH),
+    Order("RL_RETURN", scalars=(-0.75,)),
+    Order("RL_EPISODE", b"100", scalars=(True,)),
+    Order("RL_NUM_EPISODES", scalars=(2,)),
+    Order("RL_CLEANUP"),
+)
+
+
 class _Replying(Experiment):
     """A hub for our own mirror: records the request of a verb and replies."""
 
@@ -61,27 +73,13 @@ class ExperimentHarness(Harness):
     request: Message = Message(Kind.RL_ENV_STEP, "", 0)
 
     def begin(self) -> None:
-        self._plot: Iterator[Order] = cycle(self._episode())
+        self._plot: Iterator[Order] = cycle(_EPISODE)
         self._prepared: deque[Order] = deque()
         self.request = Message(Kind.RL_ENV_STEP, self.session, -1)
         self.take(self.request._replace(body=Action(chars=b"ready").body))
 
-    @staticmethod
-    def _episode() -> list[Order]:
-        return [
-            Order("RL_INIT", b"2026", body=SPEC),
-            Order("RL_START", body=BOTH),
-            Order("RL_STEP", scalars=(-1.0, False), body=BOTH),
-            Order("RL_AGENT_MESSAGE", b"how are you?", body=b"well"),
-            Order("RL_STEP", scalars=(0.25, True), body=BOTH),
-            Order("RL_RETURN", scalars=(-0.75,)),
-            Order("RL_EPISODE", b"100", scalars=(True,)),
-            Order("RL_NUM_EPISODES", scalars=(2,)),
-            Order("RL_CLEANUP"),
-        ]
-
     def exchanges(self) -> int:
-        return 2 * len(self._episode())
+        return 2 * len(_EPISODE)
 
     def with_body(self) -> Exchange:
         self.settle()
@@ -125,16 +123,9 @@ class ExperimentHarness(Harness):
         self.settle()
         self.run(self.order(order))
 
-    def welcome(
-        self,
-        resumed: bool = True,
-        heartbeat: float = 1.0,
-        max_body: int = MAX_BODY,
-        seq: int | None = None,
-        carries: Set[str] | None = BESIDE,
-    ) -> None:
-        super().welcome(resumed, heartbeat, max_body, seq, carries)
-        for role in (Role.AGENT, Role.ENVIRONMENT):
+    def welcome(self, *values: Any, **options: Any) -> None:
+        super().welcome(*values, **options)
+        for role in PLAYERS:
             self.send(Kind.NOTICE, Event.JOINED, role, "a mirror (the kit)")
 
     def ordering(self, verb: str) -> tuple[bytes, ...]:

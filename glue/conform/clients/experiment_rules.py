@@ -11,8 +11,8 @@ import numpy as np
 
 from glue.conform import forms
 from glue.conform.clients.connection import Gone
-from glue.conform.clients.experiment_harness import BOTH, DONE, SEEN, SPEC, ExperimentHarness, Order
-from glue.conform.clients.harness import MAX_BODY, Harness
+from glue.conform.clients.experiment_harness import BOTH, DONE, SEEN, ExperimentHarness, Order
+from glue.conform.clients.harness import MAX_BODY, SPEC, Harness
 from glue.conform.clients.mirror import result
 from glue.conform.messages import described, same
 from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
@@ -239,14 +239,10 @@ def notices(kit: ExperimentHarness) -> None:
         raise Broken(f"the notices {expected}", str(lines))
 
 
-def _reports(message: Message) -> bool:
-    return message.kind is Kind.RL_ENV_STEP
-
-
 def _notices(kit: ExperimentHarness) -> list[str]:
     kit.do()
     kit.send_frames(kit.ordering("notices"))
-    got = kit.expect("RL_ENV_STEP with the notices as chars", _reports)
+    got = kit.expect("RL_ENV_STEP with the notices as chars", lambda got: got.kind is Kind.RL_ENV_STEP)
     kit.took(got)
     return Action.from_body(got.body).chars.decode(errors="replace").splitlines()
 
@@ -362,7 +358,7 @@ def broken_text(kit: ExperimentHarness) -> None:
     for text in forms.NOT_UTF_8:
         kit.asks(Order("RL_AGENT_MESSAGE", b"?"))
         kit.send(Kind.RL_AGENT_MESSAGE, seq=kit.request.seq, body=text)
-        kit.took(kit.expect("RL_ENV_STEP with some text", _reports))
+        kit.took(kit.expect("RL_ENV_STEP with some text", lambda got: got.kind is Kind.RL_ENV_STEP))
     kit.do(Order("RL_RETURN", scalars=(1.0,)))
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence, Set
+from contextlib import suppress
 from itertools import cycle
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -19,7 +20,7 @@ from glue.conform.clients.connection import Connection, Gone, Listener
 from glue.conform.clients.mirror import MirrorAgent, MirrorEnvironment
 from glue.conform.clients.process import Client, Start
 from glue.conform.messages import described, difference, same
-from glue.conform.rules import PLAYERS, Broken, NotJudged
+from glue.conform.rules import Broken, NotJudged
 from glue.engine.calls import role_calls
 from glue.errors import GlueError, RemoteProtocolError
 from glue.system import chance, clock
@@ -27,7 +28,7 @@ from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
-from glue.wire.messages import BESIDE, CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
+from glue.wire.messages import BESIDE, CALLS, PLAYERS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
 
 MAX_BODY: Final = 2**20
 """Bytes of the largest body that the kit accepts, as its WELCOME says."""
@@ -139,11 +140,9 @@ class Harness(ABC):
         if self._client is None:
             return
         if self._connection is not None:
-            try:
+            with suppress(Gone, Broken):
                 self.connection.send(encode(Message(Kind.GOODBYE, self.session, 0, ("the end",)), FROM_HUB))
                 self._client.wait(min(1.0, self.wait))
-            except (Gone, Broken):
-                pass
             self.cut()
         self._client.kill()
         self._client = None
@@ -388,10 +387,8 @@ class Harness(ABC):
     def _greeted(self, hello: Message) -> Message:
         self._hello = hello
         self.hellos += 1
-        _, _, instance, name, _, capabilities = hello.scalars
-        assert isinstance(instance, bytes)
-        assert isinstance(capabilities, tuple)
-        self.instance, self.capabilities = instance, capabilities
+        scalars: Any = hello.scalars
+        _, _, self.instance, name, _, self.capabilities = scalars
         self.mirror = self.mirror or name == mirror.NAME
         return hello
 
@@ -506,10 +503,10 @@ class PlayerHarness(Harness):
             self.run(self.step(each))
 
     def settle(self) -> None:
-        pass
+        """Do nothing: an exchange is complete with its answer."""
 
     def resume(self) -> None:
-        pass
+        """Do nothing: a player waits for the next call."""
 
     def repeat(self, exchange: Exchange, frames: Sequence[bytes]) -> None:
         again = self.run(exchange)
@@ -521,7 +518,8 @@ class PlayerHarness(Harness):
         if message.kind is not Kind.ENV_INIT or self.mirror:
             return
         generator = np.random.default_rng(0)
-        try:
+        # Without legal actions in its task spec, the empty action is as good as any.
+        with suppress(GlueError, UnicodeDecodeError):
             if "batch" in self.capabilities:
                 games, task_spec = read_batch_task_spec(message.body.decode())
                 actions = parse_task_spec(task_spec).actions
@@ -529,5 +527,3 @@ class PlayerHarness(Harness):
                 self._action = pack_actions(Ragged.of(chosen)).body
             else:
                 self._action = Action(*parse_task_spec(message.body.decode()).actions.sample(generator)).body
-        except (GlueError, UnicodeDecodeError):
-            pass  # Without legal actions in its task spec, the empty action is as good as any.

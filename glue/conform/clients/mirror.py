@@ -46,10 +46,10 @@ class _Mirror:
         self.count: int = 0
         self.seed: int = 0
 
-    def message(self, text: str) -> str:
-        if text == FAIL:
+    def message(self, message: str) -> str:
+        if message == FAIL:
             raise RuntimeError(FAILURE)
-        return text
+        return message
 
     def save(self) -> bytes:
         return f"{self.count} {self.seed}".encode()
@@ -88,17 +88,10 @@ class MirrorAgent(_Mirror, Agent):
     def agent_end(self, reward: float) -> None:
         self.count += 1
 
-    def agent_message(self, message: str) -> str:
-        return self.message(message)
+    agent_message, agent_save, agent_load = _Mirror.message, _Mirror.save, _Mirror.load
 
     def agent_seed(self, seed: int) -> None:
         self.seed = seed
-
-    def agent_save(self) -> bytes:
-        return self.save()
-
-    def agent_load(self, saved: bytes) -> None:
-        self.load(saved)
 
     def agent_metrics(self) -> dict[str, float]:
         return {"count": float(self.count), "half the count": self.count / 2}
@@ -139,17 +132,10 @@ class MirrorEnvironment(_Mirror, Environment):
             },
         }
 
-    def env_message(self, message: str) -> str:
-        return self.message(message)
+    env_message, env_save, env_load = _Mirror.message, _Mirror.save, _Mirror.load
 
     def env_seed(self, seed: int) -> None:
         self.seed = seed
-
-    def env_save(self) -> bytes:
-        return self.save()
-
-    def env_load(self, saved: bytes) -> None:
-        self.load(saved)
 
 
 def shown(value: AbstractType) -> tuple[list[int], list[float], bytes]:
@@ -209,7 +195,7 @@ def carry_out(
 ) -> Action:
     """Carry out one order; return its result."""
     text = argument.decode("utf-8", "surrogateescape")
-    ints, doubles = order.ints, order.doubles
+    given = Observation(order.ints, order.doubles, argument, mask=order.mask)
     match verb:
         case "RL_INIT":
             return result(chars=glue.rl_init(int(text) if text else None).encode("utf-8", "surrogateescape"))
@@ -234,12 +220,10 @@ def carry_out(
         case "RL_ENV_START":
             return _both(glue.rl_env_start(), Action())
         case "RL_ENV_STEP":
-            return _outcome(glue.rl_env_step(Action(ints, doubles, argument)))
+            return _outcome(glue.rl_env_step(Action(order.ints, order.doubles, argument)))
         case "RL_AGENT_START":
-            given = Observation(ints, doubles, argument, mask=order.mask)
             return _both(Observation(), glue.rl_agent_start(given))
         case "RL_AGENT_STEP":
-            given = Observation(ints, doubles, argument, mask=order.mask)
             return _both(Observation(), glue.rl_agent_step(reward, given))
         case "RL_AGENT_END":
             glue.rl_agent_end(reward)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Final
 
 import numpy as np
@@ -13,12 +14,12 @@ from glue.conform.clients.connection import Gone
 from glue.conform.clients.harness import MAX_BODY, SHOWN, SPEC, TASK, PlayerHarness
 from glue.conform.clients.mirror import FAIL, FAILURE
 from glue.conform.messages import described
-from glue.conform.rules import PLAYERS, Broken, NotJudged, Requirement, Rules, Tier
+from glue.conform.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.errors import GlueError, TaskSpecError
 from glue.taskspec import parse_task_spec
 from glue.types import CUT_OFF, Action, Observation
 from glue.wire.beside import readable
-from glue.wire.messages import EXTRAS, MASK, ErrorCode, Event, Kind, Message, Role
+from glue.wire.messages import EXTRAS, MASK, PLAYERS, ErrorCode, Event, Kind, Message, Role
 
 RULES: Final = Rules(PLAYERS)
 
@@ -52,8 +53,7 @@ def before_init(kit: PlayerHarness) -> None:
 def doubles(kit: PlayerHarness) -> None:
     """Doubles keep all their bits: negative zero, NaN, infinities."""
     kit.steps(Observation([], forms.DOUBLES), *(Observation([], [number]) for number in forms.DOUBLES))
-    exchange = kit.step(SHOWN, reward=-0.1)  # The reward goes from the header into the doubles.
-    kit.run(exchange)
+    kit.run(kit.step(SHOWN, reward=-0.1))  # The reward goes from the header into the doubles.
 
 
 @RULES.add(Tier.PLAYS, "bodies", mirror=True)
@@ -400,7 +400,7 @@ def _left(kit: PlayerHarness) -> bool:
     """Return whether the client left after an ERROR, as it may: it must leave, or answer the next call."""
     exchange = kit.step(SHOWN)
     expected = f"{described(exchange.expected)}, or its end"
-    try:
+    with suppress(Gone):
         kit.connection.send(exchange.frames)
         frames = kit.heard(kit.wait)
         if frames is None:
@@ -410,8 +410,6 @@ def _left(kit: PlayerHarness) -> bool:
             kit.matches(exchange.expected, got, frames)
             return False
         kit.connection.ends(kit.wait)
-    except Gone:
-        pass
     kit.cut()
     kit.client.wait(kit.wait)
     return True

@@ -22,19 +22,15 @@ class Client(Protocol):
 
     def wait(self, seconds: float) -> int | None:
         """Return the exit code, negative for a signal; None if the client does not end within `seconds`."""
-        ...
 
     def kill(self) -> None:
         """Kill the client."""
-        ...
 
     def output(self) -> str:
         """Return the client's output so far."""
-        ...
 
     def awake(self) -> bool | None:
         """Return whether the client is running or runnable; None if unknown."""
-        ...
 
 
 Start = Callable[[str, str], Client]
@@ -44,10 +40,7 @@ Start = Callable[[str, str], Client]
 def starter(command: Sequence[str]) -> Start:
     """Return a function that starts `command` with GLUE_HUB and GLUE_SESSION."""
 
-    def start(hub: str, session: str) -> Client:
-        return ClientProcess(command, {"GLUE_HUB": hub, "GLUE_SESSION": session})
-
-    return start
+    return lambda hub, session: ClientProcess(command, {"GLUE_HUB": hub, "GLUE_SESSION": session})
 
 
 class ClientProcess:

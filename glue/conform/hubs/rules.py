@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Final
 
-from glue.conform.forms import SPOILED, SPOILED_BODIES
+from glue.conform.forms import SPOILED, SPOILED_BODIES, header
 from glue.conform.hubs.scripted import TASK_SPEC, Scene, ScriptedPeer, did, number, reward, saw
 from glue.conform.messages import described
 from glue.conform.rules import Broken, Rules, Tier
@@ -106,8 +106,7 @@ def counters(scene: Scene) -> None:
     scene.counted(0.0, 1, 1)
     scene.episode(0, 2)
     scene.counted(reward(1) + reward(2), 2, 2)
-    scene.experiment.ask(Kind.RL_INIT, None)
-    scene.initialised()
+    scene.initialise()
     scene.counted(0.0, 0, 0)
 
 
@@ -259,8 +258,7 @@ def seed(scene: Scene) -> None:
         given.append(call.scalars)
     same, different = given[0] == given[1], given[1] != given[2]
     scene.environment.check(same and different, f"{given} received for the seeds 2026, 2026, 7")
-    scene.experiment.ask(Kind.RL_INIT, None)
-    scene.initialised()
+    scene.initialise()
 
 
 @RULES.add(Tier.COMPLETE, "capabilities")
@@ -358,7 +356,7 @@ def unknown_kind(scene: Scene) -> None:
     scene.init()
     scene.start()
     for peer in (scene.agent, scene.environment, scene.experiment):
-        peer.send_frames([_unknown(peer.session)])
+        peer.send_frames([header(63, peer.session, 5, [])])
         peer.expects_error(ErrorCode.UNKNOWN_KIND, 5)
     scene.step(1)
 
@@ -383,14 +381,14 @@ def malformed(scene: Scene) -> None:
     scene.start()
     unknown = scene.peer(Role.AGENT)
     unknown.send_frames([b"\xc1"])
-    unknown.expects_malformed()
+    unknown.expects_error(ErrorCode.MALFORMED, 0, session="")
     scene.step(1)
     for change in (*SPOILED.values(), *SPOILED_BODIES.values()):
         scene.experiment.ask(Kind.RL_STEP)
         number = scene.environment.expects_call(Kind.ENV_STEP, body=did(1))
         answer = Message(Kind.ENV_STEP, scene.session, number, (0.0, False), saw(2))
         scene.environment.send_frames(change(encode(answer, TO_HUB)))
-        scene.environment.expects_malformed()
+        scene.environment.expects_error(ErrorCode.MALFORMED, 0, session="")
         scene.experiment.expects_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
         scene.experiment.expects_notice(Event.LOST, Role.ENVIRONMENT)
         scene.environment.send(Kind.HEARTBEAT, seq=4)
@@ -529,32 +527,29 @@ def _refused(peer: ScriptedPeer, code: ErrorCode, seq: int) -> None:
     peer.check(refuse.scalars[0] == code, f"{described(refuse)} received instead of the code {code}")
 
 
-def _unknown(session: str) -> bytes:
-    """Return a header of kind 63, which does not exist, and number 5: the array [63, session, 5]."""
-    name = session.encode()
-    return bytes([0x93, 63, 0xD9, len(name), *name, 5])
-
-
 @RULES.add(Tier.COMPLETE, "beside-the-observation")
 def beside(scene: Scene) -> None:
     """A mask reaches peers that offer mask, extras those that offer extras, and never an agent."""
     # An environment that sends both, an agent that reads masks, then one that reads none.
-    if not _carries_both(scene):
-        return
+    scene.environment = scene.peer(Role.ENVIRONMENT, MASK, EXTRAS)
+    scene.experiment = scene.peer(Role.EXPERIMENT, MASK, EXTRAS)
+    confirmed = scene.environment.join().scalars[5:]
+    if not confirmed:
+        return  # an older hub
+    known = isinstance(confirmed[0], tuple) and {*confirmed[0]} == BESIDE
+    scene.environment.check(known, f"{confirmed!r} was confirmed to one that offers mask and extras")
     scene.agent = scene.peer(Role.AGENT, MASK)
     confirmed = scene.agent.join().scalars[5:]
     scene.agent.check(confirmed == ((MASK,),), f"{confirmed!r} was confirmed to an agent that offers mask")
     scene.experiment.join()
-    scene.experiment.ask(Kind.RL_INIT, None)
-    scene.initialised()
+    scene.initialise()
     _play_beside(scene, masked=Observation([7], mask=[True, False, True]).body)
     scene.agent.leave()
     scene.experiment.expects_notice(Event.LOST, Role.AGENT)
     scene.agent = scene.peer(Role.AGENT)
     confirmed = scene.agent.join().scalars[5:]
     scene.agent.check(not confirmed, f"{confirmed!r} was confirmed to an agent that offers nothing")
-    scene.experiment.ask(Kind.RL_INIT, None)
-    scene.initialised()
+    scene.initialise()
     _play_beside(scene, masked=Observation([7]).body)
 
 
@@ -567,23 +562,12 @@ def unoffered(scene: Scene) -> None:
         return  # an older hub
     scene.agent.join()
     scene.experiment.join()
-    scene.experiment.ask(Kind.RL_INIT, None)
-    scene.initialised()
+    scene.initialise()
     scene.experiment.ask(Kind.RL_ENV_START)
     call = scene.environment.expects_call(Kind.ENV_START)
     scene.environment.send(Kind.ENV_START, seq=call, body=Observation([7], extras={"a": 1}).body)
     scene.experiment.expects_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
     scene.environment.expects_error(ErrorCode.UNSUPPORTED, call)
-
-
-def _carries_both(scene: Scene) -> bool:
-    """Let an environment join that offers all; return whether the hub carries it."""
-    scene.environment = scene.peer(Role.ENVIRONMENT, MASK, EXTRAS)
-    scene.experiment = scene.peer(Role.EXPERIMENT, MASK, EXTRAS)
-    confirmed = scene.environment.join().scalars[5:]
-    known = not confirmed or (isinstance(confirmed[0], tuple) and {*confirmed[0]} == BESIDE)
-    scene.environment.check(known, f"{confirmed!r} was confirmed to one that offers mask and extras")
-    return bool(confirmed)
 
 
 def _play_beside(scene: Scene, masked: bytes) -> None:

@@ -19,8 +19,6 @@ from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import (
     CALLS,
-    MAX_BODY,
-    MAX_HEADER,
     PROTOCOL_VERSION,
     ErrorCode,
     Event,
@@ -71,9 +69,7 @@ class ScriptedPeer:
     def connect(self) -> None:
         """Open a new connection; the old one is closed without GOODBYE."""
         self.vanish()
-        self._connection = DealerTransport(
-            self._scene.context, self._scene.url, self._scene.wait, 2 * MAX_BODY + MAX_HEADER
-        )
+        self._connection = DealerTransport(self._scene.context, self._scene.url, self._scene.wait)
 
     def vanish(self) -> None:
         """Close the connection without GOODBYE."""
@@ -136,18 +132,10 @@ class ScriptedPeer:
                 raise self.broken(f"{described(message)}{where} received instead of {expected}")
         raise self.broken(f"{expected} was not received in time")
 
-    def expects_error(self, code: ErrorCode, seq: int | None = None) -> None:
+    def expects_error(self, code: ErrorCode, seq: int, session: str | None = None) -> None:
         """Expect an ERROR of this code."""
-        error = self.expects(Kind.ERROR, seq)
+        error = self.expects(Kind.ERROR, seq, session=session)
         self.check(error.scalars[0] == code, f"{described(error)} received instead of the error {code}")
-
-    def expects_malformed(self) -> None:
-        """Expect the reply to a malformed message."""
-        error = self.expects(Kind.ERROR, 0, session="")
-        self.check(
-            error.scalars[0] == ErrorCode.MALFORMED,
-            f"{described(error)} received instead of the error malformed",
-        )
 
     def expects_notice(self, event: Event, role: Role) -> None:
         """Expect a NOTICE, which may have come already."""
@@ -259,6 +247,10 @@ class Scene:
     def init(self) -> None:
         """Let all three peers join, and carry out RL_INIT."""
         self.gather()
+        self.initialise()
+
+    def initialise(self) -> None:
+        """Carry out RL_INIT without a seed."""
         self.experiment.ask(Kind.RL_INIT, None)
         self.initialised()
 

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from glue.errors import RemoteProtocolError
 from glue.hub.channel import Channel
 from glue.hub.config import Bind, HubConfig, Keys
-from glue.hub.io.connection import Connection, take_leave
+from glue.hub.io.connection import Connection, Owner, take_leave
 from glue.hub.io.listener import Listener, OpenAddress
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
@@ -48,7 +48,7 @@ _MAX_COPIED: Final = 65_536
 _HELLO: Final = Kind.HELLO
 
 
-class _SocketChannel:
+class _SocketChannel(Owner):
     """One connection, and the peer at its other end; a channel of the sessions.
 
     Attributes:
@@ -337,8 +337,7 @@ class Channels:
         channel.account()
         if channel.in_session:
             self._without_session.pop(channel, None)
-        capabilities = hello.scalars[-1]
-        assert isinstance(capabilities, tuple)
+        capabilities: Any = hello.scalars[-1]
         if "batch" in capabilities:
             self.loop.spin_longer()
 

@@ -6,16 +6,15 @@ queue, and is not even watched meanwhile, so that the kernel holds the sender ba
 
 from __future__ import annotations
 
-import struct
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Final, Protocol
+from typing import Final
 
 from glue.hub.io.loop import FAILURE, READ, WRITE, Loop
 from glue.system import clock, network
-from glue.system.sockets import probe_when_silent
+from glue.system.sockets import never_wait, probe_when_silent, reset_when_closed
 
 _CHUNK: Final = 65_536
 """Maximum bytes to read at once; a larger buffer costs a system call, even if the message is short."""
@@ -23,23 +22,18 @@ _CHUNK: Final = 65_536
 _PIECE: Final = 65_536
 """Size in bytes from which unsent data is kept as it is; less is copied into pieces of about this size."""
 
-_AT_ONCE: Final = struct.pack("ii", 1, 0)
-"""Value of SO_LINGER: unsent data is dropped, and the other side sees a reset."""
 
-
-class Owner(Protocol):
-    """The owner of a connection, which handles its events."""
+class Owner:
+    """The owner of a connection, which handles its events; this one does nothing."""
 
     def ready(self, now: float) -> None:
         """Handle the connection: it has data to receive, everything has been sent, or `later` was called.
 
         If it raises, the error is logged and the connection reset.
         """
-        ...
 
     def failed(self, now: float) -> None:
         """Forget the connection, which was reset because `ready` raised."""
-        ...
 
 
 class Connection:
@@ -61,10 +55,8 @@ class Connection:
     """
 
     def __init__(self, loop: Loop, connected: network.socket, name: str, silence: float) -> None:
-        connected.setblocking(False)
-        if connected.family != network.AF_UNIX:
-            connected.setsockopt(network.IPPROTO_TCP, network.TCP_NODELAY, 1)
-            probe_when_silent(connected, silence)
+        never_wait(connected)
+        probe_when_silent(connected, silence)
         self.name = name
         self.owner: Owner = _NOBODY
         self.in_turn = False
@@ -168,7 +160,7 @@ class Connection:
     def reset(self) -> None:
         """Close so that the next system call of the other side fails."""
         if not self.closed:
-            self._socket.setsockopt(network.SOL_SOCKET, network.SO_LINGER, _AT_ONCE)
+            reset_when_closed(self._socket)
             self.close()
 
     def turn(self, now: float, at_once: bool = False) -> None:
@@ -249,20 +241,10 @@ class Connection:
                 self._socket.shutdown(network.SHUT_WR)
 
 
-class _Nobody:
-    """The placeholder for the owner of a connection that has none."""
-
-    def ready(self, now: float) -> None:
-        """Do nothing."""
-
-    def failed(self, now: float) -> None:
-        """Do nothing."""
+_NOBODY: Final = Owner()
 
 
-_NOBODY: Final = _Nobody()
-
-
-class _Discarding(_Nobody):
+class _Discarding(Owner):
     """The owner of a connection that only waits for the other side to close."""
 
     def __init__(self, connection: Connection) -> None:

@@ -15,11 +15,10 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-from glue.client.answers import ServedPlayer
+from glue.client.answers import ServedPlayer, failure
 from glue.client.experiment import connect_over
-from glue.console import show_failure
 from glue.engine.experiment import Experiment
-from glue.errors import ConfigError, GlueError, described
+from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.hub.io.server import Hub
 from glue.hub.sessions import INSTANCE_SIZE
@@ -28,7 +27,7 @@ from glue.roles import AgentLike, EnvironmentLike
 from glue.system import chance, clock
 from glue.system.spinning import Spin
 from glue.wire.codec import clip
-from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, Kind, Message, Role
 
 _WAITING = Pace()
 _NO_PLAYERS: Mapping[Role, AgentLike | EnvironmentLike] = {}
@@ -186,16 +185,9 @@ class _InsidePlayer:
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:  # also asyncio.CancelledError and GeneratorExit
-            if not isinstance(error, GlueError):
-                show_failure(error)
             self._gone = True
-            reason = f"{type(error).__name__} in {call.kind.name.lower()}"
-            return (
-                Message(
-                    Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(described(error)))
-                ),
-                Message(Kind.GOODBYE, call.session, 0, (clip(reason),)),
-            )
+            reason = clip(f"{type(error).__name__} in {call.kind.name.lower()}")
+            return failure(call, error), Message(Kind.GOODBYE, call.session, 0, (reason,))
         return () if answer is None else (answer,)
 
     def deliver(self, message: Message) -> bool:

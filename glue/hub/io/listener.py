@@ -102,6 +102,9 @@ def reserve(url: str) -> Iterator[None]:
         if scheme == "tcp" and not rest.endswith(":*"):
             try:
                 family, address = _resolved(rest)
+                with network.socket(family) as alone:  # what another process of this user reserves is in use
+                    alone.setsockopt(network.SOL_SOCKET, network.SO_REUSEADDR, 1)
+                    alone.bind(address)
                 kept = stack.enter_context(network.socket(family))
                 # Without SO_REUSEADDR, and not listening: then only sockets of this user can share the port.
                 kept.setsockopt(network.SOL_SOCKET, network.SO_REUSEPORT, 1)

@@ -53,7 +53,6 @@ class Watched(Protocol):
 
     def turn(self, now: float) -> None:
         """Handle the descriptor, which is ready or has failed."""
-        ...
 
 
 class Source(Watched, Protocol):
@@ -61,7 +60,6 @@ class Source(Watched, Protocol):
 
     def glance(self) -> bool | None:
         """Read data, and return whether it has to be handled, by `turn`; None if there is none yet."""
-        ...
 
 
 class Loop:

@@ -115,13 +115,6 @@ def test_a_call_is_answered_however_long_the_game_takes(monkeypatch: pytest.Monk
     assert answer.data["steps"] == 10
 
 
-def test_a_client_that_stays_silent_forfeits_when_time_is_limited() -> None:
-    agent = Door(GameOptions(seconds=0.05))
-    with session(agent):
-        pass
-    assert agent.game.counts.forfeits == 1
-
-
 def test_without_the_sdk_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"glue-rl\[mcp\]"):

@@ -20,7 +20,8 @@ from env_server.toys import MinesEnvironment
 from glue.errors import ConfigError
 from tests import forked
 from tests.agents.language.test_calls import session
-from tests.agents.language.test_texts import MARIO_SEEN, MARIO_SPEC
+from tests.agents.language.test_texts import MARIO_SEEN
+from tests.agents.screens import TASK_SPEC
 from tests.pages import DOCS, follow
 
 mcp = pytest.importorskip("mcp", reason="needs the SDK: pip install 'glue-rl[mcp]'")
@@ -28,12 +29,6 @@ mcp = pytest.importorskip("mcp", reason="needs the SDK: pip install 'glue-rl[mcp
 AGENT = str(Path(sys.executable).parent / "glue-agent")
 MODES = ["auto", "legacy"]
 WITH_SDK = "runs in the tests, where the SDK is installed"
-
-
-def agent_without_transport(monkeypatch: pytest.MonkeyPatch) -> MCPAgent:
-    """Return an agent that serves nobody yet."""
-    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
-    return MCPAgent()
 
 
 def talk(where: object, mode: str, *steps: Callable[[Any], Awaitable[None]]) -> None:
@@ -77,13 +72,6 @@ async def second_part(client: Any) -> None:
     for tool, arguments in (("look", {}), ("act", {"turn": 4, "actions": ["up"]}), ("reset", {})):
         with pytest.raises(mcp.MCPError):
             await call(client, tool, **arguments)
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_in_memory(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    agent = agent_without_transport(monkeypatch)
-    with session(agent, MinesEnvironment()):
-        talk(make_server(agent), mode, first_part, second_part)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -145,8 +133,9 @@ def test_stdio_serves_one_session(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_mario_is_shown_as_an_image_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    agent = agent_without_transport(monkeypatch)
-    agent.game.task(MARIO_SPEC)
+    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
+    agent = MCPAgent()
+    agent.game.task(TASK_SPEC)
     agent.game.start(MARIO_SEEN)
 
     async def looks(client: Any) -> None:

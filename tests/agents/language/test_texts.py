@@ -10,6 +10,7 @@ from env_server.toys import MINES_MAP, MinesEnvironment, SkeletonEnvironment
 from glue.errors import GlueError
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation
+from tests.agents.screens import TASK_SPEC
 
 CAR = (
     "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 0.9 OBSERVATIONS INTS (3 0 1) "
@@ -19,10 +20,6 @@ CAR = (
 GRID = (
     "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 9) "
     "ACTIONS INTS (1 2) (-1 1) REWARDS (UNSPEC UNSPEC) EXTRA"
-)
-MARIO_SPEC = (
-    "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 ACTIONS INTS (-1 1) (2 0 1)  "
-    "REWARDS (-10.0 100.0)"
 )
 MARIO_WINDOW = (b" " * 21 + b"\n") * 14 + (b"7" * 21 + b"\n") * 2
 MARIO_SEEN = Observation([0, 0, 0], [5.0, 5.0, 0.0, 0.0], MARIO_WINDOW)
@@ -53,7 +50,7 @@ def test_actions_have_names_numbers_and_repeats() -> None:
         return [action.ints.tolist() for action in made(spec).actions([*choice], Observation())]
 
     assert ints(GRID, "1 -1", "2 0*2", "2 1 * 1") == [[1, -1], [2, 0], [2, 0], [2, 1]]
-    assert ints(MARIO_SPEC, "Right+Jump", "stay*2", "-1 0 1") == [[1, 1, 0], *[[0, 0, 0]] * 2, [-1, 0, 1]]
+    assert ints(TASK_SPEC, "Right+Jump", "stay*2", "-1 0 1") == [[1, 1, 0], *[[0, 0, 0]] * 2, [-1, 0, 1]]
 
 
 @pytest.mark.parametrize(
@@ -94,7 +91,7 @@ def test_an_observation_is_a_picture_or_numbers_and_never_long() -> None:
 def test_our_environments_bring_their_words() -> None:
     """The actions that they name are all that are legal."""
     for spec, words, count in (
-        (MARIO_SPEC, MARIO, 12),
+        (TASK_SPEC, MARIO, 12),
         (MinesEnvironment().env_init(), MINES, 4),
         (SkeletonEnvironment().env_init(), SKELETON, 2),
     ):
@@ -104,7 +101,7 @@ def test_our_environments_bring_their_words() -> None:
         assert len(set(words.actions.values())) == len(words.actions) == count
         legal = parse_task_spec(spec).actions
         assert [action for action in words.actions.values() if legal.check(action) is not None] == []
-    assert made(MARIO_SPEC).names["stay"] == made(MARIO_SPEC).still_at(Observation())
+    assert made(TASK_SPEC).names["stay"] == made(TASK_SPEC).still_at(Observation())
     mines = MinesEnvironment()
     for name, field in {"right": 1, "down": len(MINES_MAP[0]), "up": 0, "left": 0}.items():
         mines.env_start()
@@ -112,7 +109,7 @@ def test_our_environments_bring_their_words() -> None:
 
 
 def test_mario_is_a_picture_in_characters_and_an_image_on_request() -> None:
-    texts = made(MARIO_SPEC)
+    texts = made(TASK_SPEC)
     lines = texts.seen(MARIO_SEEN).splitlines()
     assert [len(line) for line in lines[:16]] == [42] * 16
     assert sum(map(len, lines)) < 1000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -20,10 +20,7 @@ from glue.compiled.records import new
 from glue.errors import RemoteProtocolError
 from glue.roles import Agent
 from glue.types import Observation
-from tests.agents.conftest import TASK_SPEC
-
-if TYPE_CHECKING:
-    from tests.agents.conftest import Draw
+from tests.agents.screens import TASK_SPEC, draw
 
 
 def screen_of(observation: Observation) -> Screen | None:
@@ -33,7 +30,7 @@ def screen_of(observation: Observation) -> Screen | None:
     return cast(Screen, screens.view(np.recarray)[0])
 
 
-def test_mario_is_kept_apart_from_the_other_sprites(draw: Draw) -> None:
+def test_mario_is_kept_apart_from_the_other_sprites() -> None:
     monsters = [(3, 5.25, 1.5, -0.5, 0.25), (9, 6.0, 2.0, 1.0, -1.0)]
     screen = screen_of(draw("M", monsters=monsters, mario=11, at=(0.5, 0.75), speed=(0.125, -2.0)))
     assert screen is not None
@@ -64,7 +61,7 @@ def test_only_marios_layout_is_read(ints: int, doubles: int, chars: int) -> None
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 2.0**31])
 @pytest.mark.parametrize("place", [0, 1, 2, 3, 4, 7])
-def test_places_and_speeds_must_be_finite_and_near(draw: Draw, number: float, place: int) -> None:
+def test_places_and_speeds_must_be_finite_and_near(number: float, place: int) -> None:
     good = draw("M", monsters=[(3, 1.0, 1.0, 0.0, 0.0)])
     doubles = good.doubles.tolist()
     doubles[place] = number
@@ -97,10 +94,8 @@ def test_whatever_fills_the_layout_an_agent_acts_or_refuses(
 
 
 @pytest.mark.parametrize("kind", [BestAgent, HierarchicalAgent, SampleAgent])
-def test_an_observation_of_another_task_is_refused_with_what_came(
-    kind: Callable[[], Agent], task_spec: str
-) -> None:
+def test_an_observation_of_another_task_is_refused_with_what_came(kind: Callable[[], Agent]) -> None:
     agent = kind()
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     with pytest.raises(RemoteProtocolError, match="1 ints, 0 doubles and 0 chars"):
         agent.agent_start(Observation([7]))

@@ -61,24 +61,6 @@ def test_nearest_step_is_by_the_sum_of_both_distances() -> None:
     assert path.place(2) == (2.0, 4.0)
 
 
-def test_an_archive_comes_back_from_its_arrays() -> None:
-    archive = an_archive()
-    again = Archive.of(Saved("best", {}, {}, archive.arrays()))
-    assert again.cells == archive.cells
-    assert list(again.cells) == list(archive.cells)
-    assert again.finished
-    assert archive.best is not None
-    assert again.best is not None
-    assert again.best.actions == archive.best.actions
-    assert again.best.episode_return == 99.5
-    assert np.array_equal(again.best.places, archive.best.places)
-
-
-def test_an_empty_archive_comes_back_from_its_arrays() -> None:
-    again = Archive.of(Saved("best", {}, {}, Archive().arrays()))
-    assert (again.cells, again.best, again.finished) == ({}, None, False)
-
-
 @pytest.mark.parametrize(
     ("name", "array"),
     [

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from agents.mario.agent import ACTIONS, LEFT, action_number
 from agents.mario.best import BestAgent
 from env_server.mario.environment import InfiniteMario
+from glue.engine.local import local
 from glue.roles import Environment
 from glue.saves import unpack
 from glue.types import Action, Observation
-from tests.agents.conftest import TASK_SPEC
+from tests.agents.screens import TASK_SPEC, draw
 
-if TYPE_CHECKING:
-    from tests.agents.conftest import Draw
 RUN_LEFT = ACTIONS[action_number(LEFT, False, True)]
 
 
@@ -65,18 +64,12 @@ class Walk(Environment):
 def play(agent: BestAgent, environment: Environment, episodes: int) -> tuple[list[list[Action]], list[float]]:
     """Play with an initialised agent; return every episode's actions and return."""
     actions, returns = [], []
+    glue = local(agent, environment)
     for _ in range(episodes):
-        action = agent.agent_start(environment.env_start())
-        actions.append([action])
-        total, terminal = 0.0, False
-        while not terminal:
-            reward, observation, terminal, *_ = environment.env_step(action)
-            total += reward
-            if not terminal:
-                action = agent.agent_step(reward, observation)
-                actions[-1].append(action)
-        agent.agent_end(reward)
-        returns.append(total)
+        actions.append([glue.rl_start().action])
+        while not (step := glue.rl_step()).terminal:
+            actions[-1].append(step.action)
+        returns.append(glue.rl_return())
     return actions, returns
 
 
@@ -143,9 +136,9 @@ def test_worlds_that_begin_differently_are_remembered_apart() -> None:
     assert min(returns[-100:]) > 100.0
 
 
-def test_more_worlds_than_can_be_kept_are_not_kept(draw: Draw, task_spec: str) -> None:
+def test_more_worlds_than_can_be_kept_are_not_kept() -> None:
     agent = BestAgent()
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     for x in range(40):
         screen = draw("7" * 21, at=(float(x), 2.0))
         agent.agent_start(screen)
@@ -185,21 +178,16 @@ def test_without_exploring_the_first_episode_is_repeated() -> None:
 def test_an_episode_that_was_cut_off_leaves_its_places() -> None:
     walk = Walk()
     agent = started(walk)
-    action = agent.agent_start(walk.env_start())
-    for _ in range(30):
-        reward, observation, terminal, *_ = walk.env_step(action)
-        if terminal:
-            break
-        action = agent.agent_step(reward, observation)
+    local(agent, walk).rl_episode(9)
     assert agent.agent_message("best") == "none"
     assert int(agent.agent_message("cells")) > 0
     _, returns = play(agent, walk, 1)
     assert agent.agent_message("best") == repr(returns[0])
 
 
-def test_an_episode_that_ends_while_settling_teaches_nothing(draw: Draw, task_spec: str) -> None:
+def test_an_episode_that_ends_while_settling_teaches_nothing() -> None:
     agent = BestAgent()
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     for _ in range(3):
         agent.agent_start(draw("M"))
         agent.agent_step(-0.01, draw("M"))
@@ -207,9 +195,9 @@ def test_an_episode_that_ends_while_settling_teaches_nothing(draw: Draw, task_sp
     assert agent.agent_message("best") == "none"
 
 
-def test_an_endless_episode_takes_no_more_than_so_much_memory(draw: Draw, task_spec: str) -> None:
+def test_an_endless_episode_takes_no_more_than_so_much_memory() -> None:
     agent = BestAgent()
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     screen = draw("M", "7" * 21)
     agent.agent_start(screen)
     for _ in range(5000):
@@ -243,8 +231,8 @@ def test_without_learning_the_best_episode_is_repeated_and_nothing_changes() -> 
     assert memory(watched) == memory(agent)
 
 
-def test_messages_are_answered(task_spec: str) -> None:
+def test_messages_are_answered() -> None:
     agent = BestAgent()
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     assert [agent.agent_message(each) for each in ("best", "cells", "epsilon")] == ["none", "0", "1.0"]
     assert "answers only the messages best, cells and epsilon" in agent.agent_message("hello")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from agents.mario.objects import (
@@ -23,17 +21,13 @@ from agents.mario.objects import (
 )
 from agents.mario.observation import COIN, FIREBALL, GOOMBA, MUSHROOM, OUTSIDE, PLANT, RED_KOOPA, SOLID, tile
 from glue.types import Observation
-
-if TYPE_CHECKING:
-    from tests.agents.conftest import Draw, Watcher
+from tests.agents.screens import Watcher, draw
 
 GROUND = "7" * 21
 
 
-def test_rows_are_counted_from_the_bottom_and_columns_from_the_level(
-    draw: Draw, watch: type[Watcher]
-) -> None:
-    watcher = watch()
+def test_rows_are_counted_from_the_bottom_and_columns_from_the_level() -> None:
+    watcher = Watcher()
     watcher(draw(" M  $", GROUND, camera=40))
     screen = watcher.screen
     assert (screen.column, screen.row) == (41, 1)
@@ -44,8 +38,8 @@ def test_rows_are_counted_from_the_bottom_and_columns_from_the_level(
     )
 
 
-def test_the_tile_that_mario_hides_reads_as_blank(draw: Draw, watch: type[Watcher]) -> None:
-    watcher = watch()
+def test_the_tile_that_mario_hides_reads_as_blank() -> None:
+    watcher = Watcher()
     watcher(draw(" M", GROUND))
     assert tile(watcher.screen, 1, 1) == ord(" ")
 
@@ -57,17 +51,17 @@ def monsters(objects: list[Object]) -> list[Object]:
     return [thing for thing in objects if thing.kind == A_MONSTER]
 
 
-def test_a_monsters_distance_is_that_of_rounded_positions(draw: Draw, watch: type[Watcher]) -> None:
+def test_a_monsters_distance_is_that_of_rounded_positions() -> None:
     """From 2.4 to 5.6 the distance is 3.2 tiles, or 6 half tiles; between the rounded positions it is 7."""
     goomba = (GOOMBA, 5.6, 1.0, 0.0, 0.0)
-    (seen,) = monsters(watch()(draw(" M", GROUND, at=(2.4, 1.0), monsters=[goomba])))
+    (seen,) = monsters(Watcher()(draw(" M", GROUND, at=(2.4, 1.0), monsters=[goomba])))
     assert (seen.dx, seen.dy) == (11 - 4, 0)
-    (seen,) = monsters(watch(grid=1)(draw(" M", GROUND, at=(2.4, 1.0), monsters=[goomba])))
+    (seen,) = monsters(Watcher(grid=1)(draw(" M", GROUND, at=(2.4, 1.0), monsters=[goomba])))
     assert (seen.dx, seen.dy) == (5 - 2, 0)
 
 
-def test_positions_are_rounded_towards_zero(draw: Draw, watch: type[Watcher]) -> None:
-    (seen,) = monsters(watch()(draw("M", at=(0.25, 0.25), monsters=[(GOOMBA, -0.4, -0.4, 0.0, 0.0)])))
+def test_positions_are_rounded_towards_zero() -> None:
+    (seen,) = monsters(Watcher()(draw("M", at=(0.25, 0.25), monsters=[(GOOMBA, -0.4, -0.4, 0.0, 0.0)])))
     assert (seen.dx, seen.dy) == (0, 0)
 
 
@@ -76,17 +70,11 @@ def test_positions_are_rounded_towards_zero(draw: Draw, watch: type[Watcher]) ->
     [(THREATS_2010, -3.0, 3.5, -6.0, 4.5), (THREATS_2012, -4.0, 5.5, -2.0, 4.5)],
 )
 def test_a_monster_is_a_threat_within_a_window(
-    draw: Draw,
-    watch: type[Watcher],
-    threats: tuple[int, int, int, int],
-    left: float,
-    right: float,
-    below: float,
-    above: float,
+    threats: tuple[int, int, int, int], left: float, right: float, below: float, above: float
 ) -> None:
     def is_threat(dx: float, dy: float) -> bool:
         screen = draw(at=(8.0, 8.0), monsters=[(GOOMBA, 8.0 + dx, 8.0 + dy, 0.0, 0.0)])
-        (seen,) = monsters(watch(threats=threats)(screen))
+        (seen,) = monsters(Watcher(threats=threats)(screen))
         return bool(seen.related)
 
     at_the_edge = [(left, 0.0), (right, 0.0), (0.0, below), (0.0, above)]
@@ -94,9 +82,9 @@ def test_a_monster_is_a_threat_within_a_window(
     assert [is_threat(*place) for place in (*at_the_edge, *beyond)] == [True] * 4 + [False] * 4
 
 
-def test_items_are_monsters_and_fireballs_are_no_threat(draw: Draw, watch: type[Watcher]) -> None:
+def test_items_are_monsters_and_fireballs_are_no_threat() -> None:
     mushroom, fireball = monsters(
-        watch()(
+        Watcher()(
             draw(at=(8.0, 8.0), monsters=[(MUSHROOM, 9.0, 8.0, 0.0, 0.0), (FIREBALL, 9.0, 8.0, 1.0, 0.0)])
         )
     )
@@ -108,15 +96,13 @@ PIPE = ("  M ||", "    ||", GROUND)
 
 
 @pytest.mark.parametrize(("x", "y", "related"), [(5.0, 1.9, False), (5.0, 2.0, True), (4.0, 1.9, True)])
-def test_a_plant_below_the_rim_of_its_pipe_is_no_threat(
-    draw: Draw, watch: type[Watcher], x: float, y: float, related: bool
-) -> None:
-    (seen,) = monsters(watch()(draw(*PIPE, monsters=[(PLANT, x, y, 0.0, 0.0)])))
+def test_a_plant_below_the_rim_of_its_pipe_is_no_threat(x: float, y: float, related: bool) -> None:
+    (seen,) = monsters(Watcher()(draw(*PIPE, monsters=[(PLANT, x, y, 0.0, 0.0)])))
     assert bool(seen.related) is related
 
 
-def test_only_a_plant_hides_in_a_pipe(draw: Draw, watch: type[Watcher]) -> None:
-    (seen,) = monsters(watch()(draw(*PIPE, monsters=[(RED_KOOPA, 5.0, 1.5, 0.0, 0.0)])))
+def test_only_a_plant_hides_in_a_pipe() -> None:
+    (seen,) = monsters(Watcher()(draw(*PIPE, monsters=[(RED_KOOPA, 5.0, 1.5, 0.0, 0.0)])))
     assert seen.related
 
 
@@ -132,28 +118,26 @@ def test_only_a_plant_hides_in_a_pipe(draw: Draw, watch: type[Watcher]) -> None:
         (0.0, 0.5, 0.0, NO_MOTION),
     ],
 )
-def test_motion_relative_to_mario(
-    draw: Draw, watch: type[Watcher], dx: float, speed_x: float, speed_y: float, motion: int
-) -> None:
+def test_motion_relative_to_mario(dx: float, speed_x: float, speed_y: float, motion: int) -> None:
     screen = draw(at=(8.0, 8.0), monsters=[(GOOMBA, 8.0 + dx, 8.0, speed_x, speed_y)])
-    (seen,) = monsters(watch()(screen))
+    (seen,) = monsters(Watcher()(screen))
     assert seen.motion == motion
 
 
-def test_absolute_motion_tells_the_nine_pairs_of_signs_apart(draw: Draw, watch: type[Watcher]) -> None:
+def test_absolute_motion_tells_the_nine_pairs_of_signs_apart() -> None:
     seen: set[int] = set()
     for speed_x in (-0.5, 0.0, 0.5):
         for speed_y in (-0.5, -0.0, 0.5):
             screen = draw(at=(8.0, 8.0), monsters=[(GOOMBA, 9.0, 8.0, speed_x, speed_y)])
-            seen.update(thing.motion for thing in monsters(watch(absolute_motion=True)(screen)))
+            seen.update(thing.motion for thing in monsters(Watcher(absolute_motion=True)(screen)))
     assert len(seen) == 9
 
 
-def test_a_monster_stays_the_same_until_the_types_before_it_change(draw: Draw, watch: type[Watcher]) -> None:
+def test_a_monster_stays_the_same_until_the_types_before_it_change() -> None:
     def goombas_and_koopas(*kinds: int) -> Observation:
         return draw(at=(8.0, 8.0), monsters=[(kind, 9.0 + i, 8.0, 0.0, 0.0) for i, kind in enumerate(kinds)])
 
-    watcher = watch()
+    watcher = Watcher()
 
     def ids(*kinds: int) -> list[int]:
         return [thing.id for thing in monsters(watcher(goombas_and_koopas(*kinds)))]
@@ -186,15 +170,15 @@ def everywhere(mark: str) -> list[str]:
 
 @pytest.mark.parametrize(("mark", "kind", "columns"), [("$", A_COIN, 1), ("?", A_QUESTION, 2)])
 def test_a_tile_is_reachable_some_columns_and_three_rows_away_and_never_below(
-    draw: Draw, watch: type[Watcher], mark: str, kind: int, columns: int
+    mark: str, kind: int, columns: int
 ) -> None:
-    seen = tiles_of(watch()(draw(*everywhere(mark))), kind)
+    seen = tiles_of(Watcher()(draw(*everywhere(mark))), kind)
     reached = [(dx, dy) for dx in range(-columns, columns + 1) for dy in range(4)]
     assert seen == sorted(place for place in reached if place != (0, 0))
 
 
-def test_a_coin_is_known_by_its_tile(draw: Draw, watch: type[Watcher]) -> None:
-    watcher = watch()
+def test_a_coin_is_known_by_its_tile() -> None:
+    watcher = Watcher()
     (first,) = watcher(draw(" M$", GROUND, camera=3))
     (again,) = watcher(draw("  $M", GROUND, camera=3))
     (scrolled,) = watcher(draw("M$", GROUND, camera=4))
@@ -203,8 +187,8 @@ def test_a_coin_is_known_by_its_tile(draw: Draw, watch: type[Watcher]) -> None:
     assert (first.dx, again.dx, scrolled.dx) == (1, -1, 1)
 
 
-def test_an_observation_without_objects_has_none(draw: Draw, watch: type[Watcher]) -> None:
-    assert watch()(draw(" M", GROUND)) == []
+def test_an_observation_without_objects_has_none() -> None:
+    assert Watcher()(draw(" M", GROUND)) == []
 
 
 # Platforms
@@ -228,17 +212,15 @@ def test_an_observation_without_objects_has_none(draw: Draw, watch: type[Watcher
         (("$".rjust(20), "", "111".rjust(21), "", "M".rjust(18)), []),  # and so may its right end
     ],
 )
-def test_a_coin_is_reachable_via_a_platform(
-    draw: Draw, watch: type[Watcher], rows: tuple[str, ...], seen: list[tuple[int, int]]
-) -> None:
-    assert tiles_of(watch(via_platforms=True)(draw(*rows)), A_COIN) == seen
+def test_a_coin_is_reachable_via_a_platform(rows: tuple[str, ...], seen: list[tuple[int, int]]) -> None:
+    assert tiles_of(Watcher(via_platforms=True)(draw(*rows)), A_COIN) == seen
 
 
-def test_platforms_help_only_who_knows_of_them(draw: Draw, watch: type[Watcher]) -> None:
+def test_platforms_help_only_who_knows_of_them() -> None:
     rows = ("   $ ?   ", "", "", "  11111   ", "", "M")
     far = draw(*rows)
-    assert watch()(far) == []
-    seen = watch(via_platforms=True)(far)
+    assert Watcher()(far) == []
+    seen = Watcher(via_platforms=True)(far)
     assert tiles_of(seen, A_COIN) == [(3, 5)]
     assert tiles_of(seen, A_QUESTION) == [(5, 5)]
 
@@ -262,13 +244,13 @@ def pits(objects: list[Object]) -> list[tuple[int, int]]:
     ],
 )
 def test_a_pit_is_dangerous_from_two_columns_before_it_to_its_end(
-    draw: Draw, watch: type[Watcher], mario: str, seen: list[tuple[int, int]]
+    mario: str, seen: list[tuple[int, int]]
 ) -> None:
-    assert pits(watch()(draw(mario, "77777   7777777777777"))) == seen
+    assert pits(Watcher()(draw(mario, "77777   7777777777777"))) == seen
 
 
-def test_a_pit_is_known_by_its_first_column(draw: Draw, watch: type[Watcher]) -> None:
-    assert pits(watch()(draw("    M", "77777   7777777777777", camera=30))) == [(35, 1)]
+def test_a_pit_is_known_by_its_first_column() -> None:
+    assert pits(Watcher()(draw("    M", "77777   7777777777777", camera=30))) == [(35, 1)]
 
 
 @pytest.mark.parametrize(
@@ -280,8 +262,8 @@ def test_a_pit_is_known_by_its_first_column(draw: Draw, watch: type[Watcher]) ->
         ("   M", "     !", "77777!7777777"),  # the finish line
     ],
 )
-def test_what_is_not_a_pit(draw: Draw, watch: type[Watcher], rows: tuple[str, ...]) -> None:
-    assert pits(watch()(draw(*rows))) == []
+def test_what_is_not_a_pit(rows: tuple[str, ...]) -> None:
+    assert pits(Watcher()(draw(*rows))) == []
 
 
 # Single tiles
@@ -297,15 +279,13 @@ def test_what_is_not_a_pit(draw: Draw, watch: type[Watcher], rows: tuple[str, ..
         ((" M", "", ""), ""),
     ],
 )
-def test_the_tile_above_is_four_rows_over_the_floor(
-    draw: Draw, watch: type[Watcher], rows: tuple[str, ...], above: str
-) -> None:
-    watcher = watch()
+def test_the_tile_above_is_four_rows_over_the_floor(rows: tuple[str, ...], above: str) -> None:
+    watcher = Watcher()
     watcher(draw(*rows))
     assert chr(tile_above(watcher.screen)) == (above or "\0")
 
 
-def test_a_mario_far_above_the_screen_is_no_trouble(draw: Draw, watch: type[Watcher]) -> None:
-    watcher = watch()
+def test_a_mario_far_above_the_screen_is_no_trouble() -> None:
+    watcher = Watcher()
     watcher(draw(GROUND, at=(1.5, 2.0e9)))
     assert tile_above(watcher.screen) == ord(" ")

@@ -4,69 +4,44 @@ from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from agents.mario.sample import SampleAgent
 from env_server.mario.environment import InfiniteMario
+from glue.engine.local import local
 from glue.types import Action
-
-if TYPE_CHECKING:
-    from tests.agents.conftest import Draw
+from tests.agents.screens import TASK_SPEC, draw
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "sample_agent.jsonl.gz"
 
 
-def runs() -> Iterator[tuple[dict[str, Any], list[list[list[int]]]]]:
-    """Yield every recorded run and its actions, step by step, episode by episode."""
-    run: dict[str, Any] = {}
-    episodes: list[list[list[int]]] = []
+def test_the_originals_actions_step_for_step() -> None:
+    compared, terminal = 0, True
     with gzip.open(GOLDEN, "rt") as lines:
         for line in map(json.loads, lines):
             if line["kind"] == "run":
-                if run:
-                    yield run, episodes
-                run, episodes = line, []
+                agent = SampleAgent(seed=line["policy_seed"])
+                agent.agent_seed(99)  # This must not override the seed given as an option.
+                task = {name: line[name] for name in ("level_seed", "level_type", "level_difficulty")}
+                glue = local(agent, InfiniteMario(**task))
+                glue.rl_init()
             elif line["kind"] == "start":
-                episodes.append([])
+                assert terminal
+                action, terminal = glue.rl_start().action, False
             elif line["kind"] == "step":
-                episodes[-1].append(line["a"])
-    yield run, episodes
-
-
-def test_the_originals_actions_step_for_step() -> None:
-    compared = 0
-    for run, episodes in runs():
-        agent = SampleAgent(seed=run["policy_seed"])
-        agent.agent_seed(99)  # This must not override the seed given as an option.
-        environment = InfiniteMario(
-            level_seed=run["level_seed"],
-            level_type=run["level_type"],
-            level_difficulty=run["level_difficulty"],
-        )
-        agent.agent_init(environment.env_init())
-        assert len(episodes) == 30
-        for actions in episodes:
-            action = agent.agent_start(environment.env_start())
-            terminal = False
-            for recorded in actions:
                 assert not terminal
-                assert action == Action(recorded)
-                reward, observation, terminal, *_ = environment.env_step(action)
-                if terminal:
-                    agent.agent_end(reward)
-                else:
-                    action = agent.agent_step(reward, observation)
+                assert action == Action(line["a"])
+                step = glue.rl_step()
+                action, terminal = step.action, step.terminal
                 compared += 1
-            assert terminal
+    assert terminal
     assert compared == 15_490
 
 
-def test_an_episode_that_was_cut_off_is_not_remembered(draw: Draw, task_spec: str) -> None:
+def test_an_episode_that_was_cut_off_is_not_remembered() -> None:
     screen = draw("M", "7" * 21)
     agent = SampleAgent(seed=5)
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     first = [agent.agent_start(screen), *(agent.agent_step(0.0, screen) for _ in range(19))]
     agent.agent_end(0.0)
     for _ in range(3):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,75 +11,74 @@ from agents.mario.objects import Scene
 from agents.mario.observation import GOOMBA, MUSHROOM
 from agents.mohan2010.features import WINDOW, all_objects, window_parts, window_whole
 from glue.types import Observation
-
-if TYPE_CHECKING:
-    from tests.agents.conftest import Draw, Key, Watcher
+from tests.agents.screens import Watcher, draw, key
 
 SPRITE = 256
 ROOM = ("?  $7", "b M |", "77711")
 
 
-def whole(watcher: Watcher, observation: Observation) -> int:
+def whole(observation: Observation) -> int:
     """Return the key of the whole window."""
+    watcher = Watcher()
     watcher(observation)
     return int(window_whole(watcher.screen))
 
 
-def parts(watcher: Watcher, observation: Observation) -> list[int]:
+def parts(observation: Observation) -> list[int]:
+    watcher = Watcher()
     watcher(observation)
     keys = np.zeros(WINDOW, np.uint64)
     assert window_parts(watcher.screen, keys) == WINDOW
     return [int(key) for key in keys]
 
 
-def test_the_window_is_five_columns_by_three_rows(draw: Draw, key: Key, watch: type[Watcher]) -> None:
+def test_the_window_is_five_columns_by_three_rows() -> None:
     seen = "77711b   |?  $7"  # from the bottom up; Mario reads as blank
-    assert whole(watch(), draw(*ROOM)) == key(11, *map(ord, seen))
+    assert whole(draw(*ROOM)) == key(11, *map(ord, seen))
 
 
 @pytest.mark.parametrize(
     ("column", "row", "inside"), [(0, 0, True), (4, 2, True), (5, 0, False), (0, 3, False)]
 )
-def test_only_tiles_of_the_window_count(
-    draw: Draw, watch: type[Watcher], column: int, row: int, inside: bool
-) -> None:
+def test_only_tiles_of_the_window_count(column: int, row: int, inside: bool) -> None:
     rows = [line.ljust(6) for line in ("      ", *ROOM)]
-    plain = whole(watch(), draw(*rows))
+    plain = whole(draw(*rows))
     line = rows[3 - row]
     rows[3 - row] = line[:column] + "!" + line[column + 1 :]
-    assert (whole(watch(), draw(*rows)) != plain) is inside
+    assert (whole(draw(*rows)) != plain) is inside
 
 
-def test_tiles_out_of_view_are_a_symbol_of_their_own(draw: Draw, key: Key, watch: type[Watcher]) -> None:
+def test_tiles_out_of_view_are_a_symbol_of_their_own() -> None:
     floor, air = [0, 0, *map(ord, "777")], [0, 0, *map(ord, "   ")]
-    assert whole(watch(), draw("M", "777")) == key(11, *floor, *air, *air)
+    assert whole(draw("M", "777")) == key(11, *floor, *air, *air)
 
 
-def test_a_monster_replaces_the_tile_at_its_place(draw: Draw, key: Key, watch: type[Watcher]) -> None:
+def test_a_monster_replaces_the_tile_at_its_place() -> None:
     """4.8 and 4.5 round to 5, 4.4 to 4; of two monsters in one tile, the first in the list is shown."""
     blank, row = ord(" "), (ord(" "),) * 5
     for x, place in ((4.8, 4), (4.5, 4), (4.4, 3)):
         middle = [blank] * 5
         middle[place] = SPRITE + GOOMBA
         monsters = [(GOOMBA, x, 7.0, 0.0, 0.0), (MUSHROOM, x, 7.0, 0.0, 0.0)]
-        assert whole(watch(), draw(at=(3.5, 7.5), monsters=monsters)) == key(11, *row, *middle, *row)
+        assert whole(draw(at=(3.5, 7.5), monsters=monsters)) == key(11, *row, *middle, *row)
 
 
-def test_parts_tell_place_occupant_and_relative_speed(draw: Draw, key: Key, watch: type[Watcher]) -> None:
+def test_parts_tell_place_occupant_and_relative_speed() -> None:
     """A tile moves at minus Mario's speed, a monster at the difference of speeds; rounded, halves upwards."""
     monsters = [(GOOMBA, 4.0, 7.0, -0.75, 2.0)]
-    keys = parts(watch(), draw(at=(3.5, 7.5), monsters=monsters, speed=(1.25, -0.5)))
+    keys = parts(draw(at=(3.5, 7.5), monsters=monsters, speed=(1.25, -0.5)))
     assert keys[0] == key(12, 0, ord(" "), -1, 1)  # -1.25 and 0.5
     assert keys[8] == key(12, 8, SPRITE + GOOMBA, -2, 3)  # -2 and 2.5
     assert len(set(keys)) == WINDOW
 
 
-def objects_key(watcher: Watcher, observation: Observation) -> int:
+def objects_key(observation: Observation) -> int:
+    watcher = Watcher()
     watcher(observation)
     return int(all_objects(cast(Scene, watcher.scene[0])))
 
 
-def test_the_state_of_all_objects_row_by_row(draw: Draw, key: Key, watch: type[Watcher]) -> None:
+def test_the_state_of_all_objects_row_by_row() -> None:
     """Big Mario, a wall to his right, a brick above; two threats, and a monster too far away to be one."""
     screen = draw(
         " b",
@@ -98,16 +97,16 @@ def test_the_state_of_all_objects_row_by_row(draw: Draw, key: Key, watch: type[W
     threats = (GOOMBA, 4, 0, 2, MUSHROOM, -1, 2, 1)
     coin, question, pit = (1, 1), (1, 2), (2, 0)
     expected = key(13, 10, ord("7"), ord("b"), *threats, nothing, *coin, *question, *pit)
-    assert objects_key(watch(), screen) == expected
+    assert objects_key(screen) == expected
 
 
-def test_what_is_not_there_is_a_symbol_of_its_own(draw: Draw, key: Key, watch: type[Watcher]) -> None:
+def test_what_is_not_there_is_a_symbol_of_its_own() -> None:
     nothing = -(2**31)
     expected = key(13, 0, ord(" "), ord(" "), nothing, nothing, nothing, nothing)
-    assert objects_key(watch(), draw("M", "77")) == expected
+    assert objects_key(draw("M", "77")) == expected
 
 
-def test_distances_are_to_the_nearest(draw: Draw, watch: type[Watcher]) -> None:
-    near = objects_key(watch(), draw("  $", "", " M$", "777"))
-    assert near == objects_key(watch(), draw("$", "", " M$", "777"))
-    assert near != objects_key(watch(), draw("  $", "", " M", "777"))
+def test_distances_are_to_the_nearest() -> None:
+    near = objects_key(draw("  $", "", " M$", "777"))
+    assert near == objects_key(draw("$", "", " M$", "777"))
+    assert near != objects_key(draw("  $", "", " M", "777"))

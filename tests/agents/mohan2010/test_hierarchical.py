@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from agents.mario.agent import ACTIONS, LEFT, RIGHT, STAY, action_number
+from agents.mario.agent import ACTIONS, RIGHT, action_number
 from agents.mario.objects import A_COIN, A_MONSTER, A_QUESTION, STATIONARY
 from agents.mario.observation import GOOMBA
 from agents.mohan2010.flo import CONTEXT, FLO_LEVEL, KLO_LEVEL
@@ -21,9 +20,7 @@ from agents.mohan2010.hierarchical import (
 )
 from glue.saves import Saved, pack
 from glue.types import Action
-
-if TYPE_CHECKING:
-    from tests.agents.conftest import Draw, Key, Learned
+from tests.agents.screens import TASK_SPEC, draw, key, learned
 
 GROUND = "7" * 21
 THREAT, QUESTION, COIN = 1, 2, 4  # the bits of the context
@@ -32,9 +29,9 @@ JUMP = ACTIONS[action_number(RIGHT, True, False)]
 RUNNING_JUMP = ACTIONS[action_number(RIGHT, True, True)]
 
 
-def begun(agent: HierarchicalAgent, task_spec: str, seed: int = 1) -> HierarchicalAgent:
+def begun(agent: HierarchicalAgent, seed: int = 1) -> HierarchicalAgent:
     agent.agent_seed(seed)
-    agent.agent_init(task_spec)
+    agent.agent_init(TASK_SPEC)
     return agent
 
 
@@ -51,23 +48,12 @@ def teach(agent: HierarchicalAgent, values: Mapping[int, float]) -> None:
     )
 
 
-# Keys: the row of numbers that identifies each value
-
-
-def test_actions_are_numbered_by_direction_jump_and_run() -> None:
-    assert [action.ints.tolist() for action in ACTIONS] == [
-        [direction, jump, run] for direction in (-1, 0, 1) for jump in (0, 1) for run in (0, 1)
-    ]
-    assert ACTIONS[action_number(LEFT, True, False)] == Action((-1, 1, 0))
-    assert ACTIONS[action_number(STAY, False, True)] == Action((0, 0, 1))
-
-
 # Learning
 
 
-def test_a_visit_to_a_coin_by_hand(draw: Draw, key: Key, learned: Learned, task_spec: str) -> None:
+def test_a_visit_to_a_coin_by_hand() -> None:
     """Three steps towards a coin, which is then taken; a step of move-to-goal; another coin; death."""
-    agent = begun(HierarchicalAgent(epsilon=0.0), task_spec)
+    agent = begun(HierarchicalAgent(epsilon=0.0))
     far = draw("  $", "", " M", GROUND)
     near = draw("  $", " M", "", GROUND)
     nothing = draw("  M", "", "", GROUND)
@@ -109,10 +95,8 @@ def test_a_visit_to_a_coin_by_hand(draw: Draw, key: Key, learned: Learned, task_
     assert learned(agent) == pytest.approx(expected)
 
 
-def test_the_next_klos_value_is_bootstrapped_within_an_flo_only(
-    draw: Draw, key: Key, learned: Learned, task_spec: str
-) -> None:
-    agent = begun(HierarchicalAgent(epsilon=0.0), task_spec)
+def test_the_next_klos_value_is_bootstrapped_within_an_flo_only() -> None:
+    agent = begun(HierarchicalAgent(epsilon=0.0))
     before, after, other = (
         key(KLO_LEVEL, A_COIN, 0, 1, 1, 0, 0, 3),
         key(KLO_LEVEL, A_COIN, 0, 0, 1, 0, 0, 5),
@@ -127,11 +111,9 @@ def test_the_next_klos_value_is_bootstrapped_within_an_flo_only(
     assert learned(agent)[after] == pytest.approx(2.0 + 0.3 * (1.0 - 2.0))
 
 
-def test_the_flo_level_bootstraps_across_unlearned_flos(
-    draw: Draw, key: Key, learned: Learned, task_spec: str
-) -> None:
+def test_the_flo_level_bootstraps_across_unlearned_flos() -> None:
     """Two selections of unlearned FLOs, a pit and then move-to-goal, discount the later rewards."""
-    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0), task_spec)
+    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0))
     coin, question = key(FLO_LEVEL, A_COIN, 0, 1, 1, 0), key(FLO_LEVEL, A_QUESTION, 0, 2, 3, 0)
     teach(agent, {coin: 1.0, question: 5.0})
     agent.agent_start(draw(" $", "M", GROUND))
@@ -144,10 +126,8 @@ def test_the_flo_level_bootstraps_across_unlearned_flos(
     assert learned(agent)[coin] == pytest.approx(1.0 + 0.3 * (total + 0.9**3 * 5.0 - 1.0))
 
 
-def test_an_flo_that_follows_at_once_is_discounted_once(
-    draw: Draw, key: Key, learned: Learned, task_spec: str
-) -> None:
-    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0), task_spec)
+def test_an_flo_that_follows_at_once_is_discounted_once() -> None:
+    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0))
     coin, question = key(FLO_LEVEL, A_COIN, 0, 1, 1, 0), key(FLO_LEVEL, A_QUESTION, 0, 2, 3, 0)
     teach(agent, {coin: 1.0, question: 5.0})
     agent.agent_start(draw(" $", "M", GROUND))
@@ -156,19 +136,15 @@ def test_an_flo_that_follows_at_once_is_discounted_once(
     assert learned(agent)[coin] == pytest.approx(1.0 + 0.3 * (5.0 + 0.9 * 5.0 - 1.0))
 
 
-def test_the_finish_line_is_earned_by_the_flo_before_move_to_goal(
-    draw: Draw, key: Key, learned: Learned, task_spec: str
-) -> None:
-    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0), task_spec)
+def test_the_finish_line_is_earned_by_the_flo_before_move_to_goal() -> None:
+    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0))
     agent.agent_start(draw(" $", "M", GROUND))
     agent.agent_step(1.0, draw(" M", GROUND))
     agent.agent_end(100.0)
     assert learned(agent)[key(FLO_LEVEL, A_COIN, 0, 1, 1, 0)] == pytest.approx(0.3 * (1.0 + 0.9 * 100.0))
 
 
-def test_an_interrupted_flo_is_updated_with_its_reward_alone(
-    draw: Draw, key: Key, learned: Learned, task_spec: str
-) -> None:
+def test_an_interrupted_flo_is_updated_with_its_reward_alone() -> None:
     """A monster interrupts the FLO of a coin if the order is programmed; learned FLOs run to their end."""
     calm = draw(" $", "M", GROUND)
     threat = draw(" $", "M", GROUND, monsters=[(GOOMBA, 2.5, 1.0, 0.0, 0.0)])
@@ -176,7 +152,7 @@ def test_an_interrupted_flo_is_updated_with_its_reward_alone(
     monster = [key(KLO_LEVEL, A_MONSTER, GOOMBA, 4, 0, STATIONARY, 0, action) for action in range(12)]
 
     for kind, interrupted in ((HierarchicalProgrammedAgent, True), (HierarchicalAgent, False)):
-        agent = begun(kind(epsilon=0.0), task_spec)
+        agent = begun(kind(epsilon=0.0))
         teach(agent, dict.fromkeys(coin, 2.0) | dict.fromkeys(monster, 7.0))
         first = number(agent.agent_start(calm))
         second = number(agent.agent_step(-0.01, threat))
@@ -189,8 +165,8 @@ def test_an_interrupted_flo_is_updated_with_its_reward_alone(
             assert learned(agent)[updated[second]] == pytest.approx(before + 0.3 * (-10.0 - before))
 
 
-def test_a_cut_off_episode_teaches_nothing_more(draw: Draw, learned: Learned, task_spec: str) -> None:
-    agent = begun(HierarchicalAgent(), task_spec)
+def test_a_cut_off_episode_teaches_nothing_more() -> None:
+    agent = begun(HierarchicalAgent())
     agent.agent_start(draw(" $", "M", GROUND))
     agent.agent_start(draw(" $", "M", GROUND))
     agent.agent_start(draw("M", GROUND))
@@ -199,10 +175,8 @@ def test_a_cut_off_episode_teaches_nothing_more(draw: Draw, learned: Learned, ta
     assert learned(agent) == {}
 
 
-def test_without_learning_neither_values_nor_epsilon_change(
-    draw: Draw, key: Key, learned: Learned, task_spec: str
-) -> None:
-    agent = begun(HierarchicalAgent(learning=False), task_spec)
+def test_without_learning_neither_values_nor_epsilon_change() -> None:
+    agent = begun(HierarchicalAgent(learning=False))
     known = {key(KLO_LEVEL, A_COIN, 0, 1, 1, 0, 0, 4): 1.0}
     teach(agent, known)
     agent.agent_start(draw(" $", "M", GROUND))
@@ -213,10 +187,8 @@ def test_without_learning_neither_values_nor_epsilon_change(
     assert agent.agent_message("epsilon") == "0.1"
 
 
-def test_epsilon_shrinks_by_three_cycles_when_an_flo_opens_and_by_one_while_it_lasts(
-    draw: Draw, task_spec: str
-) -> None:
-    agent = begun(HierarchicalAgent(epsilon=0.5, reduction=0.5), task_spec)
+def test_epsilon_shrinks_by_three_cycles_when_an_flo_opens_and_by_one_while_it_lasts() -> None:
+    agent = begun(HierarchicalAgent(epsilon=0.5, reduction=0.5))
     coin, nothing = draw(" $", "M", GROUND), draw("M", GROUND)
     cycles = 0
     agent.agent_start(coin)
@@ -233,18 +205,18 @@ def test_epsilon_shrinks_by_three_cycles_when_an_flo_opens_and_by_one_while_it_l
 # Choosing
 
 
-def test_move_to_goal_walks_and_jumps_where_something_is_in_the_way(draw: Draw, task_spec: str) -> None:
-    agent = begun(HierarchicalAgent(), task_spec)
+def test_move_to_goal_walks_and_jumps_where_something_is_in_the_way() -> None:
+    agent = begun(HierarchicalAgent())
     assert agent.agent_start(draw("M", GROUND)) == WALK
     assert agent.agent_step(0.0, draw("M7", GROUND)) == JUMP
     assert agent.agent_step(0.0, draw("M|", GROUND)) == JUMP
     assert agent.agent_step(0.0, draw("M1", GROUND)) == WALK
 
 
-def test_a_pit_comes_before_everything_else(draw: Draw, task_spec: str) -> None:
+def test_a_pit_comes_before_everything_else() -> None:
     screen = draw(" $?", "M", "77  77777", monsters=[(GOOMBA, 1.5, 1.0, 0.0, 0.0)])
     for kind in (HierarchicalAgent, HierarchicalProgrammedAgent):
-        agent = begun(kind(epsilon=1.0, reduction=1.0), task_spec)
+        agent = begun(kind(epsilon=1.0, reduction=1.0))
         assert agent.agent_start(screen) == RUNNING_JUMP
 
 
@@ -257,7 +229,7 @@ def test_a_pit_comes_before_everything_else(draw: Draw, task_spec: str) -> None:
     ],
 )
 def test_the_programmed_order_is_monster_question_coin(
-    draw: Draw, key: Key, learned: Learned, task_spec: str, rows: tuple[str, ...], monsters: bool, chosen: int
+    rows: tuple[str, ...], monsters: bool, chosen: int
 ) -> None:
     """The order does not depend on the values, which here are in the opposite order."""
     flos = {
@@ -267,7 +239,7 @@ def test_the_programmed_order_is_monster_question_coin(
     }
     values = {flos[A_MONSTER]: -3.0, flos[A_QUESTION]: -2.0, flos[A_COIN]: -1.0}
     screen = draw(*rows, monsters=[(GOOMBA, 3.5, 1.0, 0.0, 0.0)] if monsters else ())
-    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0), task_spec)
+    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0))
     teach(agent, values)
     agent.agent_start(screen)
     agent.agent_end(0.0)
@@ -276,11 +248,9 @@ def test_the_programmed_order_is_monster_question_coin(
 
 
 @pytest.mark.parametrize("best", [A_MONSTER, A_QUESTION, A_COIN])
-def test_learned_selection_follows_the_values_of_object_and_context(
-    draw: Draw, key: Key, learned: Learned, task_spec: str, best: int
-) -> None:
+def test_learned_selection_follows_the_values_of_object_and_context(best: int) -> None:
     screen = draw(" $?", "M", GROUND, monsters=[(GOOMBA, 3.5, 1.0, 0.0, 0.0)])
-    agent = begun(HierarchicalAgent(epsilon=0.0), task_spec)
+    agent = begun(HierarchicalAgent(epsilon=0.0))
     context = {kind: key(CONTEXT, kind, THREAT | QUESTION | COIN) for kind in (A_MONSTER, A_QUESTION, A_COIN)}
     elsewhere = {key(CONTEXT, kind, COIN): 9.0 for kind in context}
     values = {context[best]: 1.0, key(FLO_LEVEL, A_COIN, 0, 1, 1, 0): 0.5} | elsewhere
@@ -290,8 +260,8 @@ def test_learned_selection_follows_the_values_of_object_and_context(
     assert learned(agent)[context[best]] < 1.0
 
 
-def test_among_coins_the_values_choose(draw: Draw, key: Key, learned: Learned, task_spec: str) -> None:
-    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0), task_spec)
+def test_among_coins_the_values_choose() -> None:
+    agent = begun(HierarchicalProgrammedAgent(epsilon=0.0))
     left, right = key(FLO_LEVEL, A_COIN, 0, -1, 1, 0), key(FLO_LEVEL, A_COIN, 0, 1, 1, 0)
     teach(agent, {left: -1.0, right: -0.5})
     agent.agent_start(draw("$ $", " M", GROUND))
@@ -300,12 +270,10 @@ def test_among_coins_the_values_choose(draw: Draw, key: Key, learned: Learned, t
     assert learned(agent)[right] == pytest.approx(-0.5 + 0.3 * 0.5)
 
 
-def test_marios_kind_and_if_wanted_the_tile_above_are_in_the_keys_of_klos(
-    draw: Draw, key: Key, learned: Learned, task_spec: str
-) -> None:
+def test_marios_kind_and_if_wanted_the_tile_above_are_in_the_keys_of_klos() -> None:
     screen = draw("b", "", "$", "M", GROUND, mario=10)
     for tile_above, more in ((False, ()), (True, (ord("b"),))):
-        agent = begun(HierarchicalProgrammedAgent(tile_above=tile_above), task_spec)
+        agent = begun(HierarchicalProgrammedAgent(tile_above=tile_above))
         action = number(agent.agent_start(screen))
         agent.agent_end(1.0)
         assert set(learned(agent)) == {
@@ -314,10 +282,10 @@ def test_marios_kind_and_if_wanted_the_tile_above_are_in_the_keys_of_klos(
         }
 
 
-def test_facts_make_far_coins_reachable(draw: Draw, task_spec: str) -> None:
+def test_facts_make_far_coins_reachable() -> None:
     screen = draw("   $   ", "", "", "  11111   ", "", "M", GROUND)
     for kind, opens in ((HierarchicalAgent, False), (HierarchicalFactsAgent, True)):
-        agent = begun(kind(), task_spec)
+        agent = begun(kind())
         agent.agent_start(screen)
         agent.agent_end(-1.0)
         assert (agent.agent_message("values") != "0") is opens
@@ -326,27 +294,25 @@ def test_facts_make_far_coins_reachable(draw: Draw, task_spec: str) -> None:
 # Internal rewards
 
 
-def internal(task_spec: str) -> HierarchicalAgent:
-    return begun(HierarchicalInternalAgent(epsilon=0.0), task_spec)
+def internal() -> HierarchicalAgent:
+    return begun(HierarchicalInternalAgent(epsilon=0.0))
 
 
-def klo_values(agent: HierarchicalAgent, learned: Learned, flo_keys: set[int]) -> list[float]:
+def klo_values(agent: HierarchicalAgent, flo_keys: set[int]) -> list[float]:
     return sorted(value for key, value in learned(agent).items() if key not in flo_keys)
 
 
-def test_klos_are_paid_for_the_goal_and_flos_by_the_environment(
-    draw: Draw, key: Key, learned: Learned, task_spec: str
-) -> None:
-    agent = internal(task_spec)
+def test_klos_are_paid_for_the_goal_and_flos_by_the_environment() -> None:
+    agent = internal()
     flo_keys = {key(FLO_LEVEL, A_COIN, 0, 1, 1, 0), key(CONTEXT, A_COIN, COIN)}
     agent.agent_start(draw(" $", "M", GROUND))
     agent.agent_step(5.0, draw(" $", " M", GROUND))
-    assert klo_values(agent, learned, flo_keys) == pytest.approx([0.3 * -0.01])
+    assert klo_values(agent, flo_keys) == pytest.approx([0.3 * -0.01])
     agent.agent_step(7.0, draw(" M", GROUND))
-    assert klo_values(agent, learned, flo_keys) == pytest.approx([0.3 * -0.01, 0.3 * 0.99])
+    assert klo_values(agent, flo_keys) == pytest.approx([0.3 * -0.01, 0.3 * 0.99])
     agent.agent_end(100.0)
     assert [learned(agent)[flo] for flo in flo_keys] == pytest.approx([0.15 * (12.0 + 0.9 * 100.0)] * 2)
-    assert klo_values(agent, learned, flo_keys) == pytest.approx([0.3 * -0.01, 0.3 * 0.99])
+    assert klo_values(agent, flo_keys) == pytest.approx([0.3 * -0.01, 0.3 * 0.99])
 
 
 @pytest.mark.parametrize(
@@ -358,10 +324,8 @@ def test_klos_are_paid_for_the_goal_and_flos_by_the_environment(
         (("M", GROUND), 5, False),  # out of view
     ],
 )
-def test_a_coins_goal_is_that_its_tile_is_empty(
-    draw: Draw, learned: Learned, task_spec: str, then: tuple[str, ...], camera: int, reached: bool
-) -> None:
-    agent = internal(task_spec)
+def test_a_coins_goal_is_that_its_tile_is_empty(then: tuple[str, ...], camera: int, reached: bool) -> None:
+    agent = internal()
     agent.agent_start(draw("  M$", GROUND))
     agent.agent_step(0.0, draw(*then, camera=camera))
     assert max(learned(agent).values()) == pytest.approx(0.3 * 0.99 if reached else 0.3 * -0.01)
@@ -377,20 +341,18 @@ def test_a_coins_goal_is_that_its_tile_is_empty(
     ],
 )
 def test_a_monsters_goal_is_that_it_is_gone_or_left_behind(
-    draw: Draw, learned: Learned, task_spec: str, place: tuple[float, float] | None, reached: bool
+    place: tuple[float, float] | None, reached: bool
 ) -> None:
-    agent = internal(task_spec)
+    agent = internal()
     agent.agent_start(draw(GROUND, at=(8.0, 1.0), monsters=[(GOOMBA, 6.0, 1.0, 0.0, 0.0)]))
     monsters = [] if place is None else [(GOOMBA, *place, 0.0, 0.0)]
     agent.agent_step(0.0, draw(GROUND, at=(8.0, 1.0), monsters=monsters))
-    assert klo_values(agent, learned, set()) == pytest.approx([0.3 * 0.99 if reached else 0.3 * -0.01])
+    assert klo_values(agent, set()) == pytest.approx([0.3 * 0.99 if reached else 0.3 * -0.01])
 
 
 @pytest.mark.parametrize(("reward", "paid"), [(-10.0, -10.0), (-3.0, -10.0), (100.0, 0.0)])
-def test_death_is_paid_and_the_finish_line_is_not(
-    draw: Draw, key: Key, learned: Learned, task_spec: str, reward: float, paid: float
-) -> None:
-    agent = internal(task_spec)
+def test_death_is_paid_and_the_finish_line_is_not(reward: float, paid: float) -> None:
+    agent = internal()
     action = number(agent.agent_start(draw(" $", "M", GROUND)))
     agent.agent_end(reward)
     assert learned(agent)[key(KLO_LEVEL, A_COIN, 0, 1, 1, 0, 0, action)] == pytest.approx(0.3 * paid)
@@ -400,11 +362,9 @@ def test_death_is_paid_and_the_finish_line_is_not(
 # Sums over objects
 
 
-def test_a_klos_value_is_shared_by_all_objects_of_its_flos_kind(
-    draw: Draw, key: Key, learned: Learned, task_spec: str
-) -> None:
+def test_a_klos_value_is_shared_by_all_objects_of_its_flos_kind() -> None:
     """Two coins and a monster too far to be a threat: the coins share the coin's update."""
-    agent = begun(ObjectsCoarseAgent(epsilon=0.0), task_spec)
+    agent = begun(ObjectsCoarseAgent(epsilon=0.0))
     screen = draw("$ $", " M", GROUND, monsters=[(GOOMBA, 15.0, 1.0, 0.0, 0.0)])
     first = number(agent.agent_start(screen))
     agent.agent_step(-0.01, screen)
@@ -412,8 +372,8 @@ def test_a_klos_value_is_shared_by_all_objects_of_its_flos_kind(
     assert learned(agent) == pytest.approx(dict.fromkeys(coins, 0.15 * -0.01))
 
 
-def test_all_visible_monsters_share_a_tackle(draw: Draw, key: Key, learned: Learned, task_spec: str) -> None:
-    agent = begun(ObjectsCoarseAgent(epsilon=0.0), task_spec)
+def test_all_visible_monsters_share_a_tackle() -> None:
+    agent = begun(ObjectsCoarseAgent(epsilon=0.0))
     monsters = [(GOOMBA, 3.0, 1.0, -0.5, 0.0), (GOOMBA, 15.0, 1.0, 0.0, 0.0)]
     screen = draw(GROUND, at=(1.0, 1.0), monsters=monsters)
     first = number(agent.agent_start(screen))
@@ -423,9 +383,9 @@ def test_all_visible_monsters_share_a_tackle(draw: Draw, key: Key, learned: Lear
     assert learned(agent) == pytest.approx({near: 0.15 * -0.01, far: 0.15 * -0.01})
 
 
-def test_a_screen_full_of_monsters_is_no_trouble(draw: Draw, learned: Learned, task_spec: str) -> None:
+def test_a_screen_full_of_monsters_is_no_trouble() -> None:
     """The maximum number of features, for long enough that the table must grow."""
-    agent = begun(ObjectsCoarseAgent(epsilon=0.0), task_spec)
+    agent = begun(ObjectsCoarseAgent(epsilon=0.0))
     for i in range(12):
         crowd = [(GOOMBA, 2.0 + 0.01 * n, 1.0 + 0.5 * i, 0.0, 0.0) for n in range(511)]
         screen = draw(GROUND, at=(1.0, 1.0), monsters=crowd, mario=i)

@@ -15,8 +15,8 @@ from env_server.mario.environment import check_parameters
 from env_server.mario.game import Game
 from env_server.mario.level_sets import LEVEL_SETS
 from glue.errors import ConfigError, SaveError
-from tests.agents.conftest import TASK_SPEC
 from tests.agents.planner.test_planner import play_on
+from tests.agents.screens import TASK_SPEC
 
 FIVE = [name != "speed_slidejump" for name in model.CONSTANTS]
 REAL = {

@@ -13,8 +13,7 @@ from agents.planner.agent import PlannerAgent
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.game import Game
 from env_server.mario.level_sets import LEVEL_SETS
-from glue.errors import SaveError
-from tests.agents.conftest import TASK_SPEC
+from tests.agents.screens import TASK_SPEC
 
 TASK = InfiniteMario().parameters
 
@@ -80,16 +79,6 @@ def test_bonus_earns_more_than_the_goal_alone() -> None:
     assert sum(reward for _, reward in play(made(bonus=15.0), 4)) > sum(
         reward for _, reward in play(made(), 4)
     )
-
-
-def test_level_is_known_after_loading_what_was_saved() -> None:
-    agent, other = made(), made()
-    assert [*play(agent, 0)]
-    other.agent_load(agent.agent_save())
-    assert other.agent_save() == agent.agent_save()
-    assert [*play(agent, 0)] == [*play(other, 0)]
-    with pytest.raises(SaveError):
-        other.agent_load(agent.agent_save()[:-1])
 
 
 def test_shares_of_exact_predictions_fall_with_the_horizon() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +16,8 @@ from agents.soar.agents import SoarHierarchicalAgent, SoarHierarchicalFactsAgent
 from agents.soar.mario_link import SPRITES
 from env_server.mario.environment import InfiniteMario
 from glue.types import Observation
+from tests.agents.screens import Watcher
 from tests.agents.soar.memory import Memory, working_memory
-
-if TYPE_CHECKING:
-    from tests.agents.conftest import Watcher
 
 pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
 
@@ -130,11 +128,9 @@ def platforms(memory: Memory) -> set[tuple[str, ...]]:
 
 @pytest.mark.parametrize("kind", AGENTS)
 @pytest.mark.parametrize("task", LEVELS, ids=lambda task: "-".join(map(str, task.values())))
-def test_relations_and_proposals_are_those_of_our_own_agents(
-    kind: type[Any], task: dict[str, int], watch: type[Watcher]
-) -> None:
+def test_relations_and_proposals_are_those_of_our_own_agents(kind: type[Any], task: dict[str, int]) -> None:
     absolute = kind is SoarObjectsCoarseAgent
-    watcher = watch(
+    watcher = Watcher(
         threats=THREATS_2012 if absolute else THREATS_2010,
         absolute_motion=absolute,
         via_platforms=kind is not SoarHierarchicalAgent,

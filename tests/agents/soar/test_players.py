@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,13 +12,19 @@ import pytest
 from agents.soar.agents import SoarAgent, SoarHierarchicalAgent, SoarMinesAgent, SoarPlayer, parse_rules
 from agents.soar.kernel import SoarError
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, GlueError, SaveError
-from glue.roles import Environment
+from glue.plugins.loading import find, names
 from glue.saves import Saved, pack, unpack
+from glue.testing import check_agent
 from glue.types import Action, Observation
+from glue.wire.messages import Role
+from tests.contract.test_installed_players import observe
 
 pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
+
+NAMES = [name for name in names(Role.AGENT) if name.startswith("soar-")]
 
 UP = Path(__file__).with_name("up.soar").read_text("utf-8")
 
@@ -38,27 +45,16 @@ def productions(tmp_path: Path) -> Write:
     return written
 
 
-def returns(agent: SoarPlayer, environment: Environment, episodes: int, limit: int = 0) -> list[float]:
-    """Play episodes in a session that has begun; return the return of each."""
+def returns(glue: Experiment, episodes: int) -> list[float]:
     found = []
     for _ in range(episodes):
-        observation, total = environment.env_start(), 0.0
-        action, terminal, steps = agent.agent_start(observation), False, 0
-        while not terminal and not (limit and steps == limit):
-            reward, observation, terminal, *_ = environment.env_step(action)
-            total += reward
-            steps += 1
-            if terminal:
-                agent.agent_end(reward)
-            else:
-                action = agent.agent_step(reward, observation)
-        found.append(total)
+        glue.rl_episode(500)
+        found.append(glue.rl_return())
     return found
 
 
-def begun(agent: SoarPlayer, environment: Environment, seed: int = 1) -> SoarPlayer:
-    agent.agent_seed(seed)
-    agent.agent_init(environment.env_init())
+def begun(agent: SoarPlayer, task_spec: str = SKELETON) -> SoarPlayer:
+    agent.agent_init(task_spec)
     return agent
 
 
@@ -70,10 +66,21 @@ def test_ones_own_productions_play_any_task(productions: Write) -> None:
 
 
 def test_the_example_learns_the_way_across_the_mines() -> None:
-    mines = MinesEnvironment()
-    agent = begun(SoarMinesAgent(), mines)
-    learned = returns(agent, mines, 400, limit=500)
+    with local(SoarMinesAgent(), MinesEnvironment()) as glue:
+        glue.rl_init(seed=1)
+        learned = returns(glue, 400)
     assert sum(learned[-50:]) / 50 > sum(learned[:50]) / 50 + 20
+
+
+def test_all_are_installed() -> None:
+    assert len(NAMES) == 7
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_agent_keeps_the_contract(name: str) -> None:
+    task = "mines" if name == "soar-mines" else "mario"
+    task_spec = find(Role.ENVIRONMENT, task)().env_init()
+    check_agent(find(Role.AGENT, name), task_spec, observation=partial(observe, task), episodes=2, steps=20)
 
 
 # Faults
@@ -81,31 +88,26 @@ def test_the_example_learns_the_way_across_the_mines() -> None:
 
 def test_a_production_that_does_not_parse_is_named(productions: Write) -> None:
     with pytest.raises(ConfigError, match=r"my\.soar.*do not load(.|\n)*broken"):
-        begun(
-            productions("sp {broken\n (state <s> ^superstate nil\n-->\n (<s> ^a b)\n}\n"),
-            SkeletonEnvironment(),
-        )
+        begun(productions("sp {broken\n (state <s> ^superstate nil\n-->\n (<s> ^a b)\n}\n"))
 
 
 def test_a_file_that_is_not_there_and_none_at_all_are_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no file of productions .*none\.soar"):
-        begun(SoarAgent(productions=str(tmp_path / "none.soar")), SkeletonEnvironment())
+        begun(SoarAgent(productions=str(tmp_path / "none.soar")))
     with pytest.raises(ConfigError) as caught:
-        begun(SoarAgent(), SkeletonEnvironment())
+        begun(SoarAgent())
     assert caught.value.settings == ("productions",)
 
 
 def test_an_agent_that_never_acts_is_stopped_with_its_goal_stack(productions: Write) -> None:
-    agent = begun(
-        productions("sp {idle\n (state <s> ^superstate nil)\n-->\n (<s> ^a b)\n}\n"), SkeletonEnvironment()
-    )
+    agent = begun(productions("sp {idle\n (state <s> ^superstate nil)\n-->\n (<s> ^a b)\n}\n"))
     with pytest.raises(SoarError, match=r"no command .* in 30 decision cycles(.|\n)*state no-change"):
         agent.agent_start(Observation([10]))
 
 
 def test_an_agent_that_halts_is_stopped(productions: Write) -> None:
     halts = "sp {stop\n (state <s> ^superstate nil ^io.input-link.observation.int-1 10)\n-->\n (halt)\n}\n"
-    agent = begun(productions(halts), SkeletonEnvironment())
+    agent = begun(productions(halts))
     with pytest.raises(SoarError, match="halted in the middle of an episode"):
         agent.agent_start(Observation([10]))
 
@@ -117,7 +119,7 @@ def test_an_agent_that_halts_is_stopped(productions: Write) -> None:
 def test_an_action_that_the_task_does_not_have_is_named(
     productions: Write, sends: str, complaint: str
 ) -> None:
-    agent = begun(productions(UP.replace("^int-1 1", sends)), SkeletonEnvironment())
+    agent = begun(productions(UP.replace("^int-1 1", sends)))
     with pytest.raises(SoarError, match=complaint):
         agent.agent_start(Observation([10]))
 
@@ -126,7 +128,7 @@ def test_a_command_in_once_that_soar_refuses_is_reported(productions: Write) -> 
     wrong = (
         UP + "sp {learn\n (state <s> ^superstate nil ^io.input-link.step)\n-->\n (exec once |sp {wrong|)\n}\n"
     )
-    agent = begun(productions(wrong), SkeletonEnvironment())
+    agent = begun(productions(wrong))
     with pytest.raises(SoarError, match="wrong"):
         agent.agent_start(Observation([10]))
 
@@ -173,7 +175,7 @@ def test_whatever_is_not_a_rule_with_a_value_is_refused(text: str) -> None:
 
 def test_a_save_of_another_agent_or_with_other_commands_is_refused() -> None:
     mines = MinesEnvironment()
-    agent = begun(SoarMinesAgent(), mines)
+    agent = begun(SoarMinesAgent(), mines.env_init())
     good = unpack(agent.agent_save(), "soar-mines", {})
     hostile = Saved(
         good.player, good.settings, good.numbers, {**good.arrays, "rules": good.arrays["rules"][5:]}
@@ -185,13 +187,13 @@ def test_a_save_of_another_agent_or_with_other_commands_is_refused() -> None:
 
 
 def test_five_thousand_episodes_leave_nothing_behind() -> None:
-    agent, environment = SoarMinesAgent(), MinesEnvironment()
-    begun(agent, environment)
-    returns(agent, environment, 1000)
-    learned = in_use(agent)
-    returns(agent, environment, 4000)
-
-    assert in_use(agent) == learned
+    agent = SoarMinesAgent()
+    with local(agent, MinesEnvironment()) as glue:
+        glue.rl_init(seed=1)
+        returns(glue, 1000)
+        learned = in_use(agent)
+        returns(glue, 4000)
+        assert in_use(agent) == learned
 
 
 def in_use(agent: SoarPlayer) -> tuple[str, ...]:

@@ -47,11 +47,6 @@ def test_kinds_are_as_listed() -> None:
     assert {int(kind): actor for kind, actor in cells} == KINDS
 
 
-def test_every_char_is_listed() -> None:
-    listed = {char.strip("`") for char, _ in rows(TEXT, "| char | tile |")}
-    assert listed == {"space", "&#124;", *"M!$b?1237"}
-
-
 def test_every_character_of_a_picture_is_listed(tmp_path: Path) -> None:
     listed = "".join(cell for cell, _ in rows(TEXT, "| character |")).replace("&#124;", "`|`")
     characters = re.findall(r"`(.)`", listed)

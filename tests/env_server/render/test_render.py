@@ -251,13 +251,6 @@ def test_screen_smaller_than_the_drawing_keeps_the_lower_lines(
     assert "title" in drawn
 
 
-def test_screen_that_is_no_terminal_is_left_alone() -> None:
-    stream = io.StringIO()
-    with TerminalScreen(stream, draw_text) as drawing:
-        drawing.show(screen(), 0.0, 0, 0.0)
-    assert stream.getvalue() == ""
-
-
 def test_pictures_are_drawn_in_known_colors() -> None:
     for name, tile in TILES.items():
         assert [len(line) for line in tile] == [16] * 16, name

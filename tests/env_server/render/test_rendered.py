@@ -15,7 +15,7 @@ from env_server.mario.environment import InfiniteMario
 from env_server.render.live import Rendered
 from env_server.render.text import draw_mines, draw_text
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
-from glue.cli.screen import Marks, TerminalScreen, renderer
+from glue.cli.screen import TerminalScreen, renderer
 from glue.roles import capabilities
 from glue.testing import check_environment
 from glue.types import Action, Observation
@@ -28,26 +28,18 @@ class Notes(TerminalScreen):
 
     def __init__(self) -> None:
         super().__init__(io.StringIO())
-        self.shown: list[tuple[float, int, float]] = []
+        self.shown: list[tuple[float, ...]] = []
         self.closed = 0
 
-    def show(
-        self,
-        observation: Observation,
-        reward: float,
-        step: int,
-        episode_return: float,
-        title: str = "",
-        marks: Marks = (),
-    ) -> None:
-        self.shown.append((reward, step, episode_return))
+    def show(self, observation: Observation, *numbers: float) -> None:  # type: ignore[override]
+        self.shown.append(numbers)
 
     def close(self) -> None:
         self.closed += 1
 
 
-def rendered(screen: TerminalScreen | None = None) -> Rendered:
-    return Rendered(MinesEnvironment(random_start=True), screen or TerminalScreen(io.StringIO()))
+def rendered() -> Rendered:
+    return Rendered(MinesEnvironment(random_start=True), TerminalScreen(io.StringIO()))
 
 
 class HarderMario(InfiniteMario):

@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 import scipy  # type: ignore[import-untyped]  # it has no types
 
-from experiment_runner.analysis.stats import (
-    compare,
-    profile,
-    sensitivity,
-    tolerance_interval,
-    trials_needed,
-)
+from experiment_runner.analysis.stats import compare, profile, sensitivity, tolerance_interval, trials_needed
 
 RNG = np.random.default_rng(11)
 

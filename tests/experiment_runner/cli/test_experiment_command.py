@@ -2,22 +2,29 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import subprocess
-import sys
 from pathlib import Path
+from threading import Thread
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from agents.baselines import SkeletonAgent
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.cli.make_plan import own_directory
 from experiment_runner.plan.file import load_plan
 from experiment_runner.report.overview import as_text
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
+from glue.client.players import serve_agent
 from glue.errors import ConfigError, ExperimentError, HubUnreachable
+from glue.roles import Environment
+from glue.taskspec.spaces import Discrete, task_spec
+from glue.types import Action, Observation, Step
 from tests import forked
 from tests.system.runs import contents
 
@@ -30,44 +37,11 @@ trials = 2
 [agents.sarsa]
 step_size = [0.1, 0.5]
 """
-UNSEEDED = """import random
-
-import numpy as np
-from agents.baselines import RandomAgent as Mine
-from glue.types import Observation
-
-class Maze:
-    def env_init(self):
-        return ("VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 9) "
-                "ACTIONS INTS (0 3) REWARDS (-1 0) EXTRA")
-    def env_start(self):
-        return Observation(ints=[random.randrange(10)])
-    def env_step(self, action):
-        return -1.0, Observation(ints=[random.randrange(10)]), bool(np.random.random() < 0.1)
-    def env_cleanup(self):
-        pass
-    def env_message(self, message):
-        return ""
-"""
 STOPPING = """from agents.baselines import RandomAgent
 
 class Mine(RandomAgent):
     def agent_step(self, reward, observation):
         breakpoint()
-"""
-OBSERVED = """from pathlib import Path
-
-from agents.baselines import RandomAgent
-from glue.client.observer import observe
-
-class Mine(RandomAgent):
-    def agent_end(self, reward):
-        pass
-
-    def agent_init(self, task_spec):
-        with observe(f"ipc://{Path('hub').absolute()}", wait=5):
-            Path("seen").touch()
-        super().agent_init(task_spec)
 """
 PLAYERS = ("--env", "mines", "--agent", "random", "--max-steps", "9")
 MINES = (*PLAYERS, "--in-process")
@@ -162,54 +136,45 @@ def test_breakpoint_in_a_process_of_its_own_says_where_it_works() -> None:
     assert "--in-process" in shown.stderr
 
 
-def test_bind_serves_observers_if_no_player_is_expected() -> None:
-    Path("mine.py").write_text(OBSERVED)
-    run = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--max-steps", "9")
-    address = f"ipc://{Path('hub').absolute()}"
-    shown = invoke_anew(*run, "--bind", address)
-    assert shown.returncode == 0, shown.stderr
-    assert Path("seen").exists()
+class Maze(Environment):
+    """Draws from both global generators, and takes no seed."""
+
+    def env_init(self) -> str:
+        return task_spec(Discrete(10), Discrete(4), rewards=(-1, 0))
+
+    def env_start(self) -> Observation:
+        return Observation([random.randrange(10)])
+
+    def env_step(self, action: Action) -> Step:
+        return Step(-1.0, self.env_start(), bool(np.random.random() < 0.1))
 
 
 def test_player_that_takes_no_seed_is_repeatable_from_the_global_generators_and_named_once() -> None:
-    Path("mine.py").write_text(UNSEEDED)
-    run = ("--env", "mine.py:Maze", "--agent", "mine.py:Mine", "--episodes", "3", "--max-steps", "50")
+    run = ("--env", f"{__file__}:Maze", "--agent", "random", "--episodes", "3", "--max-steps", "50")
     ways = {"inside": ("--in-process",), "again": ("--in-process",), "beside the hub": ("--inside", "env")}
     episodes = {}
     for name, way in ways.items():
         shown = invoke_anew(*run, *way, "--out", name)
         assert shown.returncode == 0, shown.stderr
         assert shown.stderr.count("the environment Maze has no env_seed") == 1
-        assert "the agent Mine has no" not in shown.stderr
+        assert "the agent random has no" not in shown.stderr
         with Results.open(Path(name)) as results:
-            episodes[name] = results.measure("Mine/Maze/0", "steps").tolist()
+            episodes[name] = results.measure("random/Maze/0", "steps").tolist()
             assert as_text([results]).count("the environment Maze has no env_seed") == 1
     assert all(steps == episodes["inside"] for steps in episodes.values())
     assert len(set(episodes["inside"])) > 1
 
 
-UNSEEDED_OUTSIDE = """import sys
-
-from agents.baselines import SkeletonAgent
-from glue import serve_agent
-
-class Chance(SkeletonAgent):
-    agent_seed = None
-
-serve_agent(Chance(), sys.argv[1])
-"""
-
-
 def test_player_from_outside_that_takes_no_seed_is_named_once() -> None:
-    Path("chance.py").write_text(UNSEEDED_OUTSIDE)
+    class Chance(SkeletonAgent):
+        agent_seed = None  # type: ignore[assignment]
+
     hub = f"ipc://{Path('hub').absolute()}"
-    outside = subprocess.Popen([sys.executable, "chance.py", hub])
-    try:
-        run = ("--env", "skeleton", "--episodes", "2", "--max-steps", "9", "--bind", hub, "--out", "run")
-        result = invoke(*run)
-    finally:
-        outside.kill()
-        outside.wait()
+    outside = Thread(target=serve_agent, args=(Chance(), hub))
+    outside.start()
+    run = ("--env", "skeleton", "--episodes", "2", "--max-steps", "9", "--bind", hub, "--out", "run")
+    result = invoke(*run)
+    outside.join()
     assert result.return_value == 0, result.output
     named = re.findall("the agent Chance.* takes no seed", result.stderr)
     assert len(named) == 1
@@ -230,18 +195,11 @@ def test_run_whose_provenance_is_hostile_is_resumed_or_refused_in_one_line(text:
     assert "\n" not in str(result.exception)
 
 
-def test_counts_on_the_command_line_go_before_the_plans() -> None:
+def test_dry_run_shows_the_trials_and_makes_nothing_and_counts_go_before_the_plans() -> None:
     counts = ("--episodes", "1", "--trials", "1", "--seed", "9", "--max-steps", "5")
-    assert invoke("--plan", "plan.toml", *counts, "--in-process", "--out", "run").return_value == 0
-    plan = load_plan(Path("run/plan.toml"))
-    assert (plan.episodes, plan.trials, plan.seed, plan.max_steps) == (1, 1, 9, 5)
-    assert plan.agents == load_plan(Path("plan.toml")).agents
-
-
-def test_dry_run_shows_the_trials_and_makes_nothing() -> None:
-    result = invoke("--plan", "plan.toml", "--trials", "1", "--dry-run")
+    result = invoke("--plan", "plan.toml", *counts, "--dry-run")
     assert result.return_value == 0
-    assert result.stdout.startswith("2 trials of 3 episodes cut off after 20 steps; seed 0\n")
+    assert result.stdout.startswith("2 trials of 1 episodes cut off after 5 steps; seed 9\n")
     assert "sarsa/step_size=0.5/mines/0  seed " in result.stdout
     assert [path.name for path in Path.cwd().iterdir()] == ["plan.toml"]
 
@@ -393,11 +351,7 @@ def test_finished_trial_that_an_earlier_version_left_as_failed_is_mended_by_resu
     assert invoke("--resume", "run", "--in-process").return_value == 0
 
 
-def test_empty_file_of_a_recording_that_failed_is_replaced_and_nothing_else_is() -> None:
+def test_empty_file_of_a_recording_that_failed_is_replaced() -> None:
     Path("empty.traj").touch()
-    Path("mine.traj").write_text("mine")
-    command = (*MINES, "--episodes", "1", "--record")
-    assert invoke(*command, "empty.traj").return_value == 0
+    assert invoke(*MINES, "--episodes", "1", "--record", "empty.traj").return_value == 0
     assert Path("empty.traj").stat().st_size > 0
-    assert "exists already" in str(invoke(*command, "mine.traj").exception)
-    assert Path("mine.traj").read_text() == "mine"

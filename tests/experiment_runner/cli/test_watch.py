@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import re
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,22 +17,11 @@ from experiment_runner.cli.watch import play
 from glue.cli.screen import Marks, TerminalScreen, read_marks, renderer
 from glue.engine.local import local
 from glue.errors import ConfigError
-from glue.plugins.loading import Trained
-from glue.roles import AgentLike, Environment
+from glue.roles import Environment
 from glue.types import Observation
 from tests.forked import run
+from tests.glue.plugins.test_trained import sarsa
 from tests.terminal import drawings, run_in_terminal, watched_terminal
-
-
-@cache
-def learned(episodes: int) -> bytes:
-    """Return the save of a SARSA agent after `episodes` episodes in the mines."""
-    agent = SarsaAgent()
-    with local(agent, MinesEnvironment()) as glue:
-        glue.rl_init(seed=1)
-        for _ in range(episodes):
-            glue.rl_episode(200)
-        return agent.agent_save()
 
 
 def test_watch_draws_the_game_in_a_terminal(tmp_path: Path) -> None:
@@ -86,30 +74,9 @@ def test_watch_plays_unseen_episodes_first_and_says_how_the_others_went(tmp_path
     assert shown.stdout == ""
 
 
-def test_watch_shows_what_was_learned(tmp_path: Path) -> None:
-    (tmp_path / "mines.agent").write_bytes(learned(200))
-    greedy = SarsaAgent(learning=False, epsilon=0)
-    players: dict[str, AgentLike] = {"loaded": Trained(greedy, learned(200)), "new": greedy}
-    ways = {}
-    for way, agent in players.items():
-        with local(agent, MinesEnvironment()) as glue:
-            glue.rl_init(seed=0)
-            glue.rl_episode(60)
-            ways[way] = f"episode 1: return {glue.rl_return():.2f} in {glue.rl_num_steps()} steps\n"
-    shown = run(
-        *("glue-watch", "--env", "mines", "--agent", "sarsa", "--load", "mines.agent", "--max-steps", "60"),
-        *("--agent-option", "learning=off", "--agent-option", "epsilon=0"),
-        cwd=tmp_path,
-    )
-    assert shown.stderr == ways["loaded"] != ways["new"]
-
-
 MISTAKES = {
     "no file": (["sarsa", "--load", "nothing.agent"], "cannot read nothing.agent"),
-    "a folder": (["sarsa", "--load", "folder"], "is a directory"),
     "a damaged file": (["sarsa", "--load", "damaged.agent"], "save is damaged"),
-    "another agent's file": (["linear", "--load", "mines.agent"], "saved by 'sarsa'"),
-    "an agent that cannot load": (["mine.py:Plain", "--load", "mines.agent"], "Plain cannot load"),
     "no speed": (["sarsa", "--speed", "0"], "0.1<=x<=1000"),
     "marks that nobody draws": (["sarsa", "--plan"], "leave --plan out"),
     "no films of this": (["sarsa", "--gif", "a.gif"], "there are no films of MinesEnvironment"),
@@ -121,10 +88,7 @@ MISTAKES = {
 def test_mistake_is_answered_in_a_line(mistake: str, tmp_path: Path) -> None:
     arguments, advice = MISTAKES[mistake]
     environment = "mario" if mistake == "no plan" else "mines"
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "mine.py").write_text("class Plain: pass")
-    (tmp_path / "mines.agent").write_bytes(learned(3))
-    (tmp_path / "damaged.agent").write_bytes(learned(3)[:-1])
+    (tmp_path / "damaged.agent").write_bytes(sarsa(1).agent_save()[:-1])
     shown = run("glue-watch", "--env", environment, "--agent", *arguments, cwd=tmp_path)
     assert shown.returncode in (1, 2)
     assert advice in shown.stderr

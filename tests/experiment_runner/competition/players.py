@@ -103,23 +103,12 @@ class InThread(Starter):
         return self.running(self.agent, launch)
 
 
-def competition(
-    *entrants: str,
-    steps: int = 40,
-    limits: Limits = Limits(),  # noqa: B008
-    trials: int = 1,
-    env: str = "mines",
-    max_steps: int = 0,
-    rate: float = 0.0,
-) -> Competition:
+def competition(*entrants: str, trials: int = 1, limits: Limits | None = None, **task: Any) -> Competition:
     """Return a competition of one task."""
-    return Competition(
-        "test",
-        trials,
-        (Task("walk", env, {"random_start": True} if env == "mines" else {}, 0, steps, max_steps, (), rate),),
-        tuple(Entrant(name, command=("nothing",)) for name in entrants),
-        limits,
-    )
+    task = {"env": "mines", "steps": 40, **task}
+    options = {"random_start": True} if task["env"] == "mines" else {}
+    playing = tuple(Entrant(name, command=("nothing",)) for name in entrants)
+    return Competition("test", trials, (Task("walk", options=options, **task),), playing, limits or Limits())
 
 
 def reports_of(

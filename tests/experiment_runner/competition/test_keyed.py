@@ -20,7 +20,7 @@ from glue.errors import ConfigError
 from glue.hub.config import Bind, Keys, Permit
 from glue.keys.certificates import encode, write_pair
 from glue.wire.messages import Role
-from tests import forked
+from tests.experiment_runner.competition.contest import compete
 
 _FILE = """\
 name = "spring"
@@ -43,10 +43,6 @@ while not Path("over").exists():
     except GlueError as error:
         print(error, file=sys.stderr)
 """
-
-
-def compete(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return forked.run("glue-compete", *arguments, cwd=folder)
 
 
 @pytest.mark.slow

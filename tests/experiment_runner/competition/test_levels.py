@@ -89,7 +89,7 @@ def test_a_record_names_its_level_not_where_it_is(folder: Path, run: Callable[..
         environment.env_start()
         writer.start()
         for _ in range(5):
-            step = step_of(environment, environment.env_step(STAY))
+            step = step_of(environment.env_step(STAY))
             writer.step(STAY.body, step.reward)
         writer.end(Ending.CUTOFF)
         writer.close()
@@ -144,11 +144,7 @@ def test_a_bundle_has_no_other_level_than_was_played(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
-        (
-            'env = "mario"\noptions = { instance = 9 }',
-            'env = "mines"',
-            "task own: mines reads no levels from files",
-        ),
+        ('"mario"\noptions = { instance = 9 }', '"mines"', "task own: mines reads no levels from files"),
         ("instance = 9", 'level = "one.txt"', r"task own: levels from files are not an option: levels = \["),
         ("two.txt", "three.txt", r"three\.txt: No such file"),
         ('["one.txt", "two.txt"]', '"one.txt"', "levels must be a list"),

@@ -231,16 +231,13 @@ def test_one_who_never_connects_forfeits(tmp_path: Path) -> None:
     assert episodes(reports, tmp_path) == []
 
 
+class Breaking(MinesEnvironment):
+    def env_step(self, action: Action) -> Step:
+        raise RuntimeError("broken")
+
+
 def test_an_environment_that_fails_is_not_the_entrants_fault(tmp_path: Path) -> None:
-    (tmp_path / "breaking.py").write_text(
-        "from env_server.toys import MinesEnvironment\n"
-        "class Breaking(MinesEnvironment):\n"
-        "    def __init__(self) -> None:\n"
-        "        super().__init__()\n"
-        "    def env_step(self, action):\n"
-        "        raise RuntimeError('broken')\n"
-    )
-    reports = reports_of(Walker(), tmp_path, env=f"{tmp_path / 'breaking.py'}:Breaking")
+    reports = reports_of(Walker(), tmp_path, env=f"{__name__}:Breaking")
     assert "RuntimeError: broken" in str(reports[-1].failure)
     assert not any(isinstance(report, Forfeited) for report in reports)
 

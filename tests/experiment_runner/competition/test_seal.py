@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -28,31 +27,23 @@ episodes = 1
 [entrants.ann]
 command = ["true"]
 """
-FILES = {"competition.toml": FILE, "run.json": '{"program": "glue"}\n'}
-TRIAL = "ann/walk/0"
 LINE = (
     b'{"time": "2026-11-27T06:00:00Z", "act": "enter", "subject": "ann", "reason": "in the file", '
     b'"player": "true", "id": "", "trial": ""}\n'
 )
-
-# Of the same run, as an earlier version sealed it.
-EARLIER = {
-    "played": [
-        "300518d38ddf2a6eace98eebde7c3e4cadbb284e82564bb16f35f68f57d42916",
-        "f0d8a8834349c7b8ece3873071d39c421b00caf5912f46f564bf07016a050920",
-    ],
-    "verified": {TRIAL: ["ecdb3854c9bad3911245982afe15e1d64c0d7d529f4fb30e20cd1c19d18511f0"]},
+FILES: dict[str, str | bytes] = {
+    "competition.toml": FILE,
+    "run.json": '{"program": "glue"}\n',
+    "journal.jsonl": LINE,
 }
+TRIAL = "ann/walk/0"
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[Store]:
-    """A run with everything that a seal covers, of an earlier version in all but its seal."""
+    """A run with everything that a seal covers."""
     specs = trials(parse_competition(FILE, tmp_path / "spring.toml"), b"nobody knows")
     with Store.create(tmp_path / "run", specs, FILES) as made:
-        seal.seal(made)
-        journal.append(made.directory, LINE)
-        (made.directory / SEAL_FILE).unlink()
         seal.seal(made)
         made.record(TRIAL, EpisodeResult(1, 2.0, 3, True, 0.5))
         seal.record_outcome(made, TRIAL, TrialEnd(None, b"digest"))
@@ -70,6 +61,7 @@ EDITS: dict[str, tuple[str, Callable[[Store], None]]] = {
     "episodes": ("verdicts", lambda store: update(store, "UPDATE episodes SET steps = 9")),
     "outcomes": ("outcomes", lambda store: update(store, "UPDATE outcomes SET reason = 'it left'")),
     "trials": ("trials", lambda store: update(store, "UPDATE trials SET seed = 9")),
+    "a trial less": ("trials", lambda store: update(store, "DELETE FROM trials")),
     "journal": ("lines", lambda store: journal.append(store.directory, b"{}\n")),
     "file": ("competition.toml", lambda store: _append(store.directory / "competition.toml")),
     "about": ("run.json", lambda store: _append(store.directory / "run.json")),
@@ -80,11 +72,8 @@ def _append(path: Path) -> None:
     path.write_text(path.read_text() + "\n")
 
 
-@pytest.mark.parametrize("earlier", [False, True], ids=["now", "earlier"])
 @pytest.mark.parametrize("edit", EDITS)
-def test_what_was_changed_is_named(edit: str, earlier: bool, store: Store) -> None:
-    if earlier:
-        (store.directory / SEAL_FILE).write_text(json.dumps(EARLIER))
+def test_what_was_changed_is_named(edit: str, store: Store) -> None:
     assert seal.broken(store) == ""
     what, change = EDITS[edit]
     change(store)
@@ -93,20 +82,7 @@ def test_what_was_changed_is_named(edit: str, earlier: bool, store: Store) -> No
         seal.check_seal(store)
 
 
-def test_an_earlier_seal_is_replaced_with_the_first_thing_that_is_recorded(store: Store) -> None:
-    (store.directory / SEAL_FILE).write_text(json.dumps(EARLIER))
-    assert seal.seal(store)
-    assert json.loads((store.directory / SEAL_FILE).read_text()) == EARLIER
-    seal.record_acts(store, [act(ANNOUNCE, EVERYBODY, "hello")])
-    assert "now" in json.loads((store.directory / SEAL_FILE).read_text())
-    seal.check_seal(store)
-    assert [one.act for one in journal.acts_of(store.directory)] == ["enter", ANNOUNCE]
-
-
-@pytest.mark.parametrize("earlier", [False, True], ids=["now", "earlier"])
-def test_verify_makes_changed_verdicts_right_and_seals_them(earlier: bool, store: Store) -> None:
-    if earlier:
-        (store.directory / SEAL_FILE).write_text(json.dumps(EARLIER))
+def test_verify_makes_changed_verdicts_right_and_seals_them(store: Store) -> None:
     EDITS["episodes"][1](store)
     assert verify(store, {"walk": 0}, lambda line: None) == 1  # there is no record
     seal.check_seal(store)

@@ -145,14 +145,21 @@ ENV = f"{__name__}:Listening"
 LIMITS = Limits(start_seconds=10.0)
 
 
-def test_no_message_passes_between_an_entrant_and_its_environment(heard: list[str], tmp_path: Path) -> None:
+def test_no_message_passes_to_an_entrant_or_its_environment_and_no_seed(
+    heard: list[str], tmp_path: Path
+) -> None:
     agent = RawAgent(Action(ints=[1]))
-    reports = reports_of(InThread(agent, Raw), tmp_path, env=ENV, limits=LIMITS)
+    starter = InThread(agent, Raw)
+    reports = reports_of(starter, tmp_path, env=ENV, limits=LIMITS)
     assert reports[-1] == Ended(None)
     assert not any(isinstance(report, Forfeited) for report in reports)
     assert set(heard) == {"seed", "init", "start", "step"}
-    assert agent.kinds - TO_KEEP_UP == ASKED
-    assert not any(CANARY.encode() in frame for frame in agent.received)
+    assert agent.kinds - TO_KEEP_UP == ASKED  # also its own seed, which reveals nothing of these
+    (launch,) = starter.launches
+    told = (str(launch.folder), *variables(launch.hub, launch.session).values())
+    seen = b"\n".join([*agent.received, *map(str.encode, told)])
+    for secret in (CANARY.encode(), *secrets()):
+        assert secret not in seen
 
 
 @pytest.mark.parametrize("kind", SMUGGLED)
@@ -167,18 +174,6 @@ def test_what_an_entrant_smuggles_in_does_not_reach_its_environment(
     assert heard.count("step") <= 10
     assert agent.kinds <= ASKED | TO_KEEP_UP | {Kind.ERROR}
     assert not any(CANARY.encode() in frame for frame in agent.received)
-
-
-def test_an_entrant_never_sees_a_seed(tmp_path: Path) -> None:
-    agent = RawAgent(Action(ints=[1]))
-    starter = InThread(agent, Raw)
-    assert reports_of(starter, tmp_path, env=ENV, limits=LIMITS)[-1] == Ended(None)
-    (launch,) = starter.launches
-    told = (str(launch.folder), *variables(launch.hub, launch.session).values())
-    seen = b"\n".join([*agent.received, *map(str.encode, told)])
-    assert Kind.AGENT_SEED in agent.kinds  # its own seed, which reveals nothing of these
-    for secret in secrets():
-        assert secret not in seen
 
 
 def secrets() -> Iterator[bytes]:

@@ -64,9 +64,6 @@ def test_a_file_is_read(tmp_path: Path) -> None:
     ("old", "new", "line", "why"),
     [
         ("step_seconds", "step_second", 6, "did you mean step_seconds"),
-        ("seed_file", "seed_fil", 3, "did you mean seed_file"),
-        ("episodes", "episode", 13, "did you mean episodes"),
-        ("command", "comand", 22, "did you mean command"),
         ("512m", "lots", 7, "512m"),
         ("cpus = 2", "cpus = 0", 8, "cpus must be a number >= 0.01, not 0"),
         ("0.5", "-1", 6, "step_seconds must be from 0"),
@@ -74,17 +71,9 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ("episodes = 20", "episodes = 20\nsteps = 5", 10, "its length"),
         ("[entrants.bob]", '[entrants."../bob"]', 21, "cannot be a name"),
         ('image = "alice/agent:1"', 'image = "a"\nkey = "b"', 19, "needs one of"),
-        (
-            'command = ["glue-agent", "sample"]',
-            'command = "glue-agent sample"',
-            22,
-            'must be a list, as in ["one", "two"], not \'g',
-        ),
-        ('"spring"', '"spring', 1, "this is not TOML"),
         ('"spring"', '""', 1, "name must be a printable string"),
         ("trials = 2", "trials = -1", 2, "trials must be a whole number >= 1, not -1"),
         ('seed_file = "secret.txt"', 'seed_file = "s"\nseed_env = "S"', 4, "once"),
-        ("step_seconds = 0.5", "start_seconds = true", 6, "start_seconds must be a number"),
         ("step_seconds = 0.5", "bank_seconds = 0x" + 400 * "f", 6, "bank_seconds must be a number"),
         ('memory = "512m"', 'memory = "1m"', 7, 'memory is a number of bytes of at least "6m"'),
         ("max_steps = 500", "rate = 2000", 17, "task long: a rate is from 0.001 to 1000"),
@@ -92,24 +81,15 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ("max_steps = 500", 'rate = 9\nlate = "x"', 18, "task long: late is `repeat`"),
         ("max_steps = 500", "max_steps = 1", 17, "max_steps must be a whole number >= 2, not 1"),
         ("step_seconds = 0.5", "pids = 1", 6, "pids must be a whole number"),
-        ("step_seconds = 0.5", "tmp = -1", 6, "tmp is a number of bytes"),
         ("step_seconds = 0.5", "shm = 0x" + 5000 * "f", 6, "shm is a number of bytes"),
         ("[limits]", "[[limits]]", 5, "limits must be a table"),
-        ('env = "mario"', "env = []", 11, "env must be a string, not []"),
-        ('env = "mines"', "", 14, "task long needs env"),
-        ("[entrants.alice]", "[tasks]\nshort = 3\n[entrants.alice]", 20, "tasks.short must be a table"),
-        (
-            "options = { level_difficulty = 0 }",
-            "options = 3",
-            12,
-            "options must be a table, as in { name = 1 }, not 3",
-        ),
-        ("episodes = 20", "episodes = 0", 13, "episodes must be a whole number"),
+        ("max_steps = 500", 'phase = "proving"', 17, "there is no table [season]"),
         ('command = ["glue-agent", "sample"]', "command = []", 21, "entrant bob needs one of"),
         ('command = ["glue-agent", "sample"]', "command = [1]", 22, "command[0] must be a string, not 1"),
     ],
 )
 def test_a_mistake_names_its_line(old: str, new: str, line: int, why: str) -> None:
+    """Types, choices and near misses of keys are those of any table: `tests/experiment_runner/plan`."""
     with pytest.raises(ConfigError) as failure:
         parse_competition(_FILE.replace(old, new, 1), Path("spring.toml"))
     message = str(failure.value)
@@ -122,9 +102,6 @@ def test_a_mistake_names_its_line(old: str, new: str, line: int, why: str) -> No
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.toml: No such file"):
         load_competition(tmp_path / "none.toml")
-    (tmp_path / "other.toml").write_bytes(b"\xff")
-    with pytest.raises(ConfigError, match=r"other\.toml: it is not UTF-8"):
-        load_competition(tmp_path / "other.toml")
 
 
 @pytest.mark.parametrize(

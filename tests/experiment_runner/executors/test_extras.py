@@ -127,24 +127,20 @@ def test_what_is_no_number_cannot_be_a_metric(value: Any) -> None:
     assert extras.numbers() == {"climbing.end": 1.0}
 
 
-def test_a_run_with_a_text_as_a_metric_ends_with_the_reason(tmp_path: Path) -> None:
-    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:Still", "--metric=end=last")
-    command = [*names, "--episodes=4", "--in-process", f"--out={tmp_path / 'run'}"]
-    result = CliRunner().invoke(experiment, command, standalone_mode=False)
-    assert "the extra end of Climbing cannot be a metric: it is 'tired', not a number" in result.output
-
-
-def test_the_label_of_an_environment_that_joins_from_outside_may_be_any() -> None:
-    extras = Extras({"mario.coins": "last", "kills": "last"}, REMOTE)
-    extras.see(Observation(extras={"coins": 3, "kills": 1}))
-    assert extras.numbers() == {"remote.coins": 3.0, "remote.kills": 1.0}
-
-
-def test_an_environment_may_put_its_name_before_an_extras() -> None:
-    for label, stored in (("mario", "mario.coins"), ("hard", "hard.mario.coins"), (REMOTE, "remote.coins")):
-        extras = Extras({"mario.coins": "last"}, label)
-        extras.see(Observation(extras={"mario.coins": 3}))
-        assert extras.numbers() == {stored: 3.0}
+@pytest.mark.parametrize(
+    ("label", "name", "stored"),
+    [
+        ("mario", "mario.coins", "mario.coins"),
+        ("hard", "mario.coins", "hard.mario.coins"),
+        (REMOTE, "mario.coins", "remote.coins"),
+        (REMOTE, "coins", "remote.coins"),
+    ],
+)
+def test_an_environment_may_put_its_name_before_an_extras(label: str, name: str, stored: str) -> None:
+    """And the label of one that joins from outside may be any."""
+    extras = Extras({"mario.coins": "last"}, label)
+    extras.see(Observation(extras={name: 3}))
+    assert extras.numbers() == {stored: 3.0}
 
 
 def test_an_attempt_that_became_void_leaves_nothing() -> None:

@@ -26,7 +26,6 @@ from experiment_runner.executors.job import (
     Start,
     Voided,
     decode,
-    decode_job,
     encode,
     unpack,
     unpacker,
@@ -69,7 +68,7 @@ def test_job_arrives_as_it_was_sent() -> None:
     spec = TrialSpec(TrialId("mine/mines/0"), agent, RoleSpec("mines"), 12, 30, 2**63 - 1)
     config = RunConfig(Placement(BOTH, any_reward=True), 4, questions=("values", ""))
     job = Job(spec, config, Start(5, Checkpoint(b"a", b"e")))
-    assert list(map(decode_job, unpack(encode(job)))) == [job]
+    assert [decode(value, {"Job": Job}) for value in unpack(encode(job))] == [job]
 
 
 class Unshowable(Exception):

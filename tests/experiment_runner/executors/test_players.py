@@ -10,19 +10,23 @@ from pathlib import Path
 
 import pytest
 
-from agents.baselines import SkeletonAgent
+from agents.baselines import RandomAgent, SkeletonAgent
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
-from experiment_runner.executors.job import BOTH, HubOptions, Line, Placement, Report
+from experiment_runner.executors.job import BOTH, HubOptions, Placement, Report
 from experiment_runner.executors.over_hub import hints
 from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from glue.client.observer import observe
 from glue.client.players import serve_agent, serve_environment
+from glue.console import say_why_slow
 from glue.errors import GlueError, PeerFailed, PeerLost, Refused
 from glue.hub.config import LegacyPort
+from glue.roles import Agent
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
+from tests.forked import run
 
 LOCAL = "tcp://127.0.0.1:*"
 REMOTE = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
@@ -58,19 +62,6 @@ def test_hint_says_where_others_can_join(
     assert lines == [agent, "waiting for the environment to start", agent, agent]
 
 
-def test_hint_has_the_port_of_the_hub() -> None:
-    def send(report: Report) -> None:
-        if isinstance(report, Line) and report.line.startswith("waiting for an agent"):
-            raise Heard(report.line)
-
-    placement = Placement(hub=HubOptions(bind=("tcp://*:*",), insecure=True))
-    with (
-        pytest.raises(Heard, match=r"--hub tcp://HOST:\d+$"),
-        open_experiment(REMOTE, placement, send, lambda: 0),
-    ):
-        raise AssertionError("an agent was missing")
-
-
 def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
     """Nor can it keep the experiment from starting the player."""
     hub: list[str] = []
@@ -88,22 +79,12 @@ def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
     assert hub
 
 
-REWARDS = '''
-from env_server.toys import SkeletonEnvironment
-
-
-class Odd(SkeletonEnvironment):
-    """Its third reward is not finite."""
-
-    def __init__(self, *, reward: str = "") -> None:
-        super().__init__()
-        self.steps, self.reward = 0, reward
-
-    def env_step(self, action):
-        self.steps += 1
-        reward, observation, terminal, *_ = super().env_step(action)
-        return (float(self.reward) if self.steps == 3 else reward), observation, terminal
-'''
+def test_an_address_serves_observers_if_no_player_is_expected(tmp_path: Path) -> None:
+    address = f"ipc://{tmp_path}/hub"
+    spec = replace(REMOTE, agent=RoleSpec("random"))
+    placement = Placement(hub=HubOptions(bind=(address,)))
+    with open_experiment(spec, placement, lambda report: None, lambda: 0), observe(address, wait=5):
+        pass
 
 
 def test_reward_that_is_not_finite_is_noticed_in_a_list_too() -> None:
@@ -115,16 +96,17 @@ def test_reward_that_is_not_finite_is_noticed_in_a_list_too() -> None:
         FiniteRewards(Lists()).env_step(Action(ints=[1]))
 
 
-LEFT = """
-from glue import Action, Agent
+class Odd(SkeletonEnvironment):
+    """Its third reward is not finite."""
 
-class Left(Agent):
-    def agent_start(self, observation):
-        return Action([2])
+    def __init__(self, *, reward: str = "") -> None:
+        super().__init__()
+        self._steps, self._reward = 0, reward
 
-    def agent_step(self, reward, observation):
-        return Action([2])
-"""
+    def env_step(self, action: Action) -> Step:
+        self._steps += 1
+        step = super().env_step(action)
+        return step._replace(reward=float(self._reward)) if self._steps == 3 else step
 
 
 @pytest.mark.parametrize(
@@ -132,10 +114,9 @@ class Left(Agent):
     [*((Placement(BOTH), reward) for reward in (math.nan, math.inf, -math.inf)), (Placement(), math.nan)],
 )
 def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
-    tmp_path: Path, placement: Placement, reward: float
+    placement: Placement, reward: float
 ) -> None:
-    (tmp_path / "odd.py").write_text(REWARDS)
-    environment = RoleSpec(f"{tmp_path}/odd.py:Odd", {"reward": str(reward)})
+    environment = RoleSpec(f"{__file__}:Odd", {"reward": str(reward)})
     spec = replace(REMOTE, agent=RoleSpec("skeleton"), environment=environment)
     with open_experiment(spec, placement, lambda report: None, lambda: 0) as glue:
         glue.rl_init(1)
@@ -148,13 +129,18 @@ def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
             assert not math.isfinite(glue.rl_return())
 
 
+class Left(Agent):
+    def agent_start(self, observation: Observation) -> Action:
+        return Action([2])
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return Action([2])
+
+
 @pytest.mark.parametrize("placement", [Placement(BOTH), Placement()])
-def test_an_action_that_the_mask_forbids_ends_the_trial_if_actions_are_checked(
-    tmp_path: Path, placement: Placement
-) -> None:
-    (tmp_path / "left.py").write_text(LEFT)
+def test_an_action_that_the_mask_forbids_ends_the_trial_if_actions_are_checked(placement: Placement) -> None:
     environment = RoleSpec("mines", {"masks": True})
-    spec = replace(REMOTE, agent=RoleSpec(f"{tmp_path}/left.py:Left"), environment=environment)
+    spec = replace(REMOTE, agent=RoleSpec(f"{__file__}:Left"), environment=environment)
     with open_experiment(
         spec, replace(placement, check_actions=True), lambda report: None, lambda: 0
     ) as glue:
@@ -166,22 +152,20 @@ def test_an_action_that_the_mask_forbids_ends_the_trial_if_actions_are_checked(
 def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
     """The line is printed again, since the terminal has scrolled by then."""
     shown: list[str] = []
-    leaves = threading.Event()
+
+    class Leaving(SkeletonAgent):
+        def agent_start(self, observation: Observation) -> Action:
+            raise KeyboardInterrupt
+
+    def join_and_leave(url: str) -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            serve_agent(Leaving(), url)
 
     def send(report: Report) -> None:
         if found := re.search(r"waiting for an agent; .* --hub (\S+)'", str(report)):
             shown.append(found[0])
             if len(shown) == 1:
-                threading.Thread(target=leave_after_a_step, args=(found[1],), daemon=True).start()
-
-    class Leaving(SkeletonAgent):
-        def agent_start(self, observation: Observation) -> Action:
-            leaves.set()
-            raise KeyboardInterrupt
-
-    def leave_after_a_step(url: str) -> None:
-        with contextlib.suppress(KeyboardInterrupt):
-            serve_agent(Leaving(), url)
+                threading.Thread(target=join_and_leave, args=(found[1],), daemon=True).start()
 
     spec = replace(REMOTE, environment=RoleSpec("skeleton"))
     placement = Placement(hub=HubOptions(bind=(LOCAL,)))
@@ -189,6 +173,18 @@ def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
         glue.rl_init(1)
         with pytest.raises(PeerLost):
             glue.rl_episode(9)
-        assert leaves.is_set()
-    assert len(shown) == 2
-    assert shown[0] == shown[1]
+    assert shown == shown[:1] * 2
+
+
+class Compiling(RandomAgent):
+    def agent_init(self, task_spec: str) -> None:
+        say_why_slow("compiling its policy")
+        super().agent_init(task_spec)
+
+
+def test_a_player_that_compiles_says_so_once_in_the_terminal_of_the_experiment(tmp_path: Path) -> None:
+    players = ("--env", "mines", "--agent", f"{__file__}:Compiling")
+    shown = run("glue-experiment", *players, "--episodes", "1", cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    assert shown.stderr.count("compiling its policy") == 1
+    assert "agent Compiling: compiling its policy" in shown.stderr.splitlines()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import signal
 import threading
 from pathlib import Path
@@ -13,17 +12,11 @@ from click.testing import CliRunner, Result
 
 from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
-from env_server.replay.episodes import (
-    build_environment,
-    open_recording,
-    recorded_moments,
-    replayed_moments,
-)
+from env_server.replay.episodes import build_environment, open_recording, recorded_moments, replayed_moments
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.cli.experiment import experiment
-from experiment_runner.executors.job import BEGINNING, BOTH, Ended, Job, Placement, Report, RunConfig, Start
-from experiment_runner.executors.recording import Recorder, recorded
-from experiment_runner.executors.trial import run_job
+from experiment_runner.executors.job import BEGINNING, Start
+from experiment_runner.executors.recording import Meter, Recorder, recorded
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
@@ -246,24 +239,6 @@ def test_run_that_cannot_begin_or_is_finished_leaves_no_recording() -> None:
     assert not Path("new.traj").exists()
 
 
-def test_full_disk_fails_the_trial_in_one_line_and_leaves_what_was_stored(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    spec = TrialSpec(TrialId("random/mines/0"), RoleSpec("random"), RoleSpec("mines"), 500, 0, seed=1)
-    reports: list[Report] = []
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, hard))
-    try:
-        with recorded(Path("run.traj")) as recording:
-            run_job(Job(spec, RunConfig(Placement(BOTH))), reports.append, recording=recording)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert reports[-1] == Ended("cannot write run.traj: File too large")
-    assert "Traceback" not in capfd.readouterr().err
-    found = counting(Path("run.traj"))
-    assert 0 < len(found) <= len(reports)
-
-
 class Thinker(RandomAgent):
     """An agent whose time goes by as it says."""
 
@@ -284,7 +259,7 @@ def test_recording_says_which_steps_were_late_and_replays(tmp_path: Path) -> Non
         spec = TrialSpec(
             TrialId("random/skeleton/0"), RoleSpec("random"), RoleSpec("skeleton"), 1, 10, seed=3
         )
-        recorder = Recorder(writer, spec, glue)
+        recorder = Recorder(writer, spec, glue, Meter(glue, None))
         recorder.begin(glue.rl_init(spec.seed), continued=False)
         recorder.rl_episode(max_steps=10)
 

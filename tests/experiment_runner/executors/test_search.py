@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents.tabular import SarsaAgent
 from experiment_runner.analysis.stats import interquartile_mean
 from experiment_runner.executors.job import BOTH, Placement, RunConfig
 from experiment_runner.executors.search import RESULT, SEARCH, Configuration, Score, sampler_of, tune
@@ -144,17 +145,12 @@ def test_a_search_over_few_values_runs_each_once(tmp_path: Path) -> None:
     assert re.search(r"in the search -?[\d.]+; in the 1 trial here, with other seeds: -?[\d.]+$", event.text)
 
 
-FORGETFUL = """
-from agents.tabular import SarsaAgent
-
 class Forgetful(SarsaAgent):
-    agent_save = agent_load = None
-"""
+    agent_save = agent_load = None  # type: ignore[assignment]
 
 
 def test_configurations_of_players_that_cannot_save_are_pruned_and_start_over(tmp_path: Path) -> None:
-    (tmp_path / "forgetful.py").write_text(FORGETFUL)
-    agent = replace(PLAN.agents[0], name=f"{tmp_path / 'forgetful.py'}:Forgetful")
+    agent = replace(PLAN.agents[0], name=f"{__file__}:Forgetful")
     plan = replace(searching(prune=True, final=1), agents=(agent,))
     for name, kind in (("forgetful", plan), ("saved", replace(plan, agents=PLAN.agents[:1]))):
         assert tune(tmp_path / name, kind, CONFIG, Silent())[1] == 0

@@ -27,7 +27,7 @@ from experiment_runner.executors.job import (
     Start,
     Voided,
 )
-from experiment_runner.executors.trial import run_trial
+from experiment_runner.executors.trial import Trial
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
@@ -91,7 +91,7 @@ def play(
     """Play a trial with a checkpoint every so many episodes; return its reports, with those of `kept`."""
     kept = Kept() if kept is None else kept
     job = Job(spec, RunConfig(checkpoint_every=every, **settings), start)
-    run_trial(glue, job, kept, interrupts=interrupts, recording=recording)
+    Trial(glue, job, kept, interrupts or Interrupts(), recording).run()
     return kept
 
 

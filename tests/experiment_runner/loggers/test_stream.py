@@ -90,19 +90,9 @@ def test_finished_run_is_sent_once(program: str, tmp_path: Path) -> None:
 def test_run_in_progress_is_sent_however_often_the_streaming_is_killed(program: str, tmp_path: Path) -> None:
     run, chance = tmp_path / "mine", random.Random(program)
     prepare(program, tmp_path)
-    plan = (
-        "--env",
-        "mario",
-        "--agent",
-        "hierarchical",
-        "--episodes",
-        size(700, 1500),
-        "--trials",
-        2,
-        "--seed",
-        1,
-    )
-    with start(*plan, "--in-process", "--out", run, cwd=tmp_path) as running:
+    plan = ("--env", "mario", "--agent", "hierarchical", "--trials", 2, "--seed", 1)
+    episodes = ("--episodes", size(700, 1500))
+    with start(*plan, *episodes, "--in-process", "--out", run, cwd=tmp_path) as running:
         while not (run / "results.sqlite").exists():
             assert running.poll() is None
         while running.poll() is None:

@@ -38,12 +38,14 @@ MUTATIONS = size(40, 1000)
 @pytest.fixture(scope="module")
 def _sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("sound") / "run"
-    with open_run(made, PLAN, clock=lambda: 1e9) as store:
-        for spec in PLAN.expand():
-            for episode in range(1, 21):
-                store.record(spec.id, EpisodeResult(episode, 1.5, 9, True, 0.1), Checkpoint(b"saved"))
-            store.record_void(spec.id, 21, "the agent was lost")
-        store.record_failure(PLAN.expand()[1].id, "it broke")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("experiment_runner.store.store.time", lambda: 1e9)
+        with open_run(made, PLAN) as store:
+            for spec in PLAN.expand():
+                for episode in range(1, 21):
+                    store.record(spec.id, EpisodeResult(episode, 1.5, 9, True, 0.1), Checkpoint(b"saved"))
+                store.record_void(spec.id, 21, "the agent was lost")
+            store.record_failure(PLAN.expand()[1].id, "it broke")
     return made
 
 

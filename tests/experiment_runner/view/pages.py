@@ -9,12 +9,15 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
 
+import uvicorn
 from starlette.types import ASGIApp
 
 from experiment_runner.view import app
@@ -116,6 +119,21 @@ class Inside:
         """Send a request, with the cookie and the host unless `headers` has others."""
         given = {"Host": f"127.0.0.1:{self.port}", "Cookie": self.cookie} | dict(headers or {})
         return asked(self._app, path, given, method, content)
+
+
+@contextlib.contextmanager
+def in_thread(make: Callable[[int], ASGIApp], **settings: Any) -> Iterator[int]:
+    """Serve an application in a thread of this process; yield the port, for which it is made."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        server = uvicorn.Server(uvicorn.Config(make(port), lifespan="off", log_config=None, **settings))
+        thread = threading.Thread(target=lambda: asyncio.run(server.serve([listening])))
+        thread.start()
+        try:
+            yield port
+        finally:
+            server.should_exit = True
+            thread.join()
 
 
 def asked(

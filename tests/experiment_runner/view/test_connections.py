@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import socket
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import uvicorn
 
 from experiment_runner.view.app import page
 from experiment_runner.view.guard import Address
 from experiment_runner.view.server import Connection
 from experiment_runner.view.stream import Pulse
-from tests.experiment_runner.view.pages import glue_view
+from tests.experiment_runner.view.pages import glue_view, in_thread
 
 _SECONDS = 60.0
 _MANY = 1_200
@@ -32,22 +28,13 @@ class Hasty(Connection):
     head_seconds = 0.05
 
 
-@contextlib.contextmanager
-def served(folder: Path, connection: type[Connection]) -> Iterator[int]:
+def served(folder: Path, connection: type[Connection]) -> contextlib.AbstractContextManager[int]:
     """Serve the page in another thread; yield the port."""
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        port = listening.getsockname()[1]
-        app = page([folder], Address(port), "token", Pulse())
-        server = uvicorn.Server(
-            uvicorn.Config(app, http=connection, lifespan="off", log_config=None, timeout_graceful_shutdown=1)
-        )
-        serving = threading.Thread(target=lambda: asyncio.run(server.serve([listening])))
-        serving.start()
-        try:
-            yield port
-        finally:
-            server.should_exit = True
-            serving.join()
+    return in_thread(
+        lambda port: page([folder], Address(port), "token", Pulse()),
+        http=connection,
+        timeout_graceful_shutdown=1,
+    )
 
 
 def connect(port: int, source: str = "127.0.0.1") -> socket.socket:

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from experiment_runner.plan.limits import TrialId
-from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
 from experiment_runner.view.catalog import Catalog, Watcher
@@ -135,16 +135,8 @@ def test_ctrl_c_ends_the_server_at_once_with_pages_open(page: Page) -> None:
 
 
 def test_a_run_is_summed_up_by_the_returns_of_its_settings_and_their_options(tmp_path: Path) -> None:
-    specs = [
-        TrialSpec(
-            TrialId(f"sarsa/step_size={step_size}/mines/{trial}"),
-            RoleSpec("sarsa", {"step_size": step_size}),
-            RoleSpec("mines"),
-            *(300, 0, 2**62),
-        )
-        for step_size in (0.5, 0.05)
-        for trial in range(2)
-    ]
+    agents = (RoleSweep("sarsa", {"step_size": (0.5, 0.05)}),)
+    specs = Plan(episodes=300, trials=2, environments=(RoleSweep("mines"),), agents=agents).expand()
     with Store.create(tmp_path / "sweep", specs, {}) as store:
         for number, spec in enumerate(specs):
             for episode in range(1, 201):  # the last 100 count

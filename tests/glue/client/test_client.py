@@ -53,19 +53,14 @@ def lines(caplog: pytest.LogCaptureFixture) -> Iterator[list[str]]:
 
 
 def test_hello_says_who_speaks_and_what_it_can_do() -> None:
-    instances = set()
-
     def hub(hub: Dialogue) -> Script:
         hello = yield from hub.welcome()
         versions, role, instance, name, codec, abilities = hello.scalars
         assert (versions, role, name, abilities) == ((1,), "agent", "SeededAgent", ("seed",))
         assert codec == f"Python {platform.python_version()}"
         assert len(instance) == INSTANCE_SIZE
-        instances.add(instance)
 
-    for _ in range(2):
-        assert greet(hub, {"default": SeededAgent()}) == "the test is over"
-    assert len(instances) == 2
+    assert greet(hub, {"default": SeededAgent()}) == "the test is over"
 
 
 def test_a_refusal_is_an_error_with_the_hubs_reason() -> None:
@@ -245,9 +240,7 @@ def test_an_exception_in_one_of_several_sessions_is_told_there_and_all_others_ar
         serve(hub, {"a": ScriptedAgent(), "b": Failing(ValueError("no")), "c": ScriptedAgent()})
 
 
-def test_an_exception_is_told_to_the_hub_in_a_few_words_and_shown_in_full(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_exception_is_told_in_a_few_words_and_shown_in_full(capsys: pytest.CaptureFixture[str]) -> None:
     cause = ValueError("no such thing")
     (error, goodbye), raised = fail(cause)
     assert (error.seq, error.scalars) == (7, (ErrorCode.EXCEPTION, "ValueError: no such thing"))
@@ -259,9 +252,7 @@ def test_an_exception_is_told_to_the_hub_in_a_few_words_and_shown_in_full(
     assert "raise self._error" in shown
 
 
-def test_an_error_of_ours_is_told_without_its_name_and_shown_without_a_traceback(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_error_of_ours_is_told_without_its_name_or_a_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     (error, _), _ = fail(LocalProtocolError("ints must be whole"))
     assert error.scalars[1] == "ints must be whole"
     assert capsys.readouterr().err == ""
@@ -407,11 +398,6 @@ def test_an_outcome_that_was_told_is_not_asked_for_until_the_next_verb() -> None
         return [*told, glue.rl_return(), glue.rl_num_steps()]
 
     assert experiment(hub, verbs) == [False, -3.5, 5, -3.5, True, 2, -2.5, 7]
-
-
-def test_an_older_hub_is_asked_for_return_and_steps() -> None:
-    found = experiment(answer_all, lambda glue: (glue.rl_episode(), glue.rl_return(), glue.rl_num_steps()))
-    assert found == (True, -2.5, 7)
 
 
 def test_waiting_for_players_tells_who_is_missing() -> None:

@@ -43,9 +43,7 @@ def test_each_spin_without_success_doubles_the_number_of_waits_without_one() -> 
     assert nothing.looks == 3
 
 
-def test_a_core_that_was_lost_to_another_program_is_not_yielded_for_long(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_core_that_another_program_took_is_not_yielded_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spinning, "_LOST_SECONDS", 0.001)
     monkeypatch.setattr(spinning, "SEVERAL_CORES", False)
     monkeypatch.setattr(spinning, "_REST", 1e5)

@@ -192,9 +192,7 @@ def main():
 @pytest.mark.parametrize(
     "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.stage("proof"))]
 )
-def test_a_signal_ends_a_command_that_compiles_without_returning_to_python(
-    number: signal.Signals, tmp_path: Path
-) -> None:
+def test_a_signal_ends_a_command_within_machine_code(number: signal.Signals, tmp_path: Path) -> None:
     (tmp_path / "spinning.py").write_text(SPINNING)
     command = [sys.executable, "-c", "from glue.cli.entry import start; start('spinning', 'main')"]
     settings = {**os.environ, "PYTHONPATH": f"{ROOT}:{tmp_path}"}

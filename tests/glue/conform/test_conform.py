@@ -12,6 +12,7 @@ import pytest
 from env_server.toys import MinesEnvironment
 from glue.cli.conform import conform as command
 from glue.conform.clients.judge import judge, judge_scripts, rules_of
+from glue.conform.clients.mirror import MirrorAgent, MirrorEnvironment
 from glue.conform.report import line, reached, summary
 from glue.conform.rules import Outcome, Tier
 from glue.hub.config import HubConfig
@@ -64,6 +65,26 @@ def test_every_rule_stands_in_the_protocol() -> None:
         rules = rules_of(role)
         assert {rule.section for rule in rules} <= anchors(DOCS / "protocol-reference.md")
         assert len({rule.name for rule in rules}) == len(rules) > 30
+
+
+def test_the_mirrors_agent_answers_as_the_page_says() -> None:
+    agent = MirrorAgent()
+    agent.agent_init("")
+    agent.agent_start(Observation([1]))
+    action = agent.agent_step(-1.0, Observation([3, -5], [0.5], b"ab"))
+    assert action == Action([-5, 3, 2], [0.5, -2.0, -1.0], b"ba")
+    assert agent.agent_step(1.0, Observation()) == Action()
+    assert agent.agent_save() == b"3 0"
+
+
+def test_the_mirrors_environment_rewards_and_ends_as_its_action_says() -> None:
+    environment = MirrorEnvironment()
+    environment.env_init()
+    assert environment.env_start() == Observation([1])
+    shown = Observation([7, 2], [2.0, -0.5, 7.0], b"!a")
+    assert environment.env_step(Action([7], [-0.5, 2.0], b"a!"))[:3] == (-0.5, shown, True)
+    assert str(environment.env_step(Action(doubles=[-0.0]))[0]) == "-0.0"
+    assert environment.env_step(Action())[:3] == (0.0, Observation(), False)
 
 
 class Walker:

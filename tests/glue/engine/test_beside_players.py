@@ -18,9 +18,8 @@ from glue.pace import Pace
 from glue.plugins.batched import BatchedEnvironments
 from glue.roles import Agent, Environment, MaskAgent, capabilities, offers
 from glue.types import Action, Observation, Step
-from glue.wire.messages import Kind, Role
-from tests.glue.client.dialogue import Dialogue, Script, experiment, serve
-from tests.glue.hub.test_inside_players import arranged
+from glue.wire.messages import Kind
+from tests.glue.client.dialogue import Dialogue, Script, experiment
 from tests.hubs import hub_with, over_the_hub
 
 SPEC = (
@@ -93,16 +92,6 @@ def test_agents_never_see_extras_and_masks_only_with_the_capability(topology: An
     assert len(agent.seen) == 7
 
 
-@pytest.mark.parametrize("role", [Role.AGENT, Role.ENVIRONMENT])
-def test_agents_never_see_extras_with_one_player_inside_the_hub(role: Role) -> None:
-    agent = Seeing(masks=True)
-    with arranged({role}, agent, Showing()) as (experiment, _):
-        experiment.rl_init()
-        assert experiment.rl_start().observation == FULL
-        experiment.rl_step()
-    assert set(agent.seen) == {FULL.without(extras=True)}
-
-
 def test_capabilities_are_attributes_of_class_or_object() -> None:
     assert capabilities(Showing()) == ("extras", "mask", "truncate")
     assert capabilities(Seeing(masks=True)) == ("mask",)
@@ -162,18 +151,6 @@ def test_a_batch_carries_no_masks_and_leaves_extras_out() -> None:
 
 
 # A hub of an older version
-
-
-def test_an_environment_sends_an_older_hub_neither_mask_nor_extras() -> None:
-    bodies = []
-
-    def older(hub: Dialogue) -> Script:
-        bodies.append((yield from hub.call(Kind.ENV_INIT, 1)).body)
-        bodies.append((yield from hub.call(Kind.ENV_START, 2)).body)
-        bodies.append((yield from hub.call(Kind.ENV_STEP, 3, body=Action([0, 5]).body)).body)
-
-    serve(older, Showing(), Role.ENVIRONMENT)
-    assert bodies[1:] == [Observation([7]).body] * 2
 
 
 def test_an_experiment_sends_an_older_hub_no_mask() -> None:

@@ -1,8 +1,8 @@
-"""The glue in one process: the errors that a user's mistakes raise, and the state after them."""
+"""The glue in one process: the errors that a user's mistakes raise, and what may be left out or cut off."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -194,9 +194,38 @@ def test_optional_methods_may_be_left_out(
         assert experiment.rl_step() == Step(1.0, Observation([1]), False, False, Action([1]))
         taken = experiment.rl_step()
         assert taken == Step(1.0, Observation([2]), True, truncated, Action([2 if truncated else 1]))
-        assert (type(taken.terminal), experiment.rl_num_episodes()) == (bool, 0 if truncated else 1)
+        assert type(taken.terminal) is bool
+        assert (experiment.rl_num_episodes(), experiment.rl_num_steps()) == ((0, 3) if truncated else (1, 2))
         assert (experiment.rl_agent_message("?"), experiment.rl_env_message("?")) == ("", "")
         experiment.rl_cleanup()
+
+
+class CuttingEnvironment(ScriptedEnvironment):
+    """Cuts every second of its episodes off."""
+
+    episodes = 0
+
+    def env_start(self) -> Observation:
+        self.episodes += 1
+        return super().env_start()
+
+    def env_step(self, action: Action) -> Any:
+        reward, observation, terminal = super().env_step(action)
+        return Step(reward, observation, terminal, terminal and self.episodes % 2 == 0)
+
+
+@BOTH
+def test_at_a_cut_off_the_agent_gets_the_last_observation_and_no_end(glue: Callable[..., Any]) -> None:
+    agent = ScriptedAgent()
+    with glue(agent, CuttingEnvironment()) as experiment:
+        experiment.rl_init()
+        assert experiment.rl_episode() is True
+        assert (experiment.rl_num_steps(), experiment.rl_num_episodes()) == (3, 1)
+        agent.calls.clear()
+        assert experiment.rl_episode() is False
+        assert agent.calls == ["agent_start [0]", *(f"agent_step 1 [{step}]" for step in (1, 2, 3))]
+        assert (experiment.rl_num_steps(), experiment.rl_num_episodes()) == (4, 1)
+        assert experiment.rl_return() == 3.0
 
 
 def test_saving_what_cannot_be_saved_is_unsupported() -> None:
@@ -206,3 +235,88 @@ def test_saving_what_cannot_be_saved_is_unsupported() -> None:
     with pytest.raises(Unsupported, match=r"environment ScriptedEnvironment .* no env_load"):
         glue.rl_env_load(b"")
     assert glue.rl_init() == "a task"
+
+
+# Arguments of an experiment's verbs
+
+
+@pytest.fixture(params=[local, over_the_hub], ids=["local", "hub"])
+def experiment(request: pytest.FixtureRequest) -> Iterator[Experiment]:
+    with request.param(ScriptedAgent(), ScriptedEnvironment()) as experiment:
+        yield experiment
+
+
+MISTAKES: list[tuple[Callable[[Any], object], str]] = [
+    (lambda glue: glue.rl_episode(-1), r"a step limit must be from 0 to 2\^32 - 1, not -1"),
+    (lambda glue: glue.rl_episode(2**32), r"a step limit must be from 0 to 2\^32 - 1, not 4294967296"),
+    (lambda glue: glue.rl_episode(1e3), r"a step limit must be a whole number, not 1000\.0"),
+    (lambda glue: glue.rl_init(-1), r"a seed must be from 0 to 2\^63 - 1, not -1"),
+    (lambda glue: glue.rl_init(2**63), r"a seed must be from 0 to 2\^63 - 1"),
+    (lambda glue: glue.rl_init("lucky"), "a seed must be a whole number, not 'lucky'"),
+    (lambda glue: glue.rl_agent_message(5), "type str, not 5"),
+    (lambda glue: glue.rl_env_message(None), "type str, not None"),
+    (lambda glue: glue.rl_env_step(Observation()), r"type Action, not Observation\(\)"),
+    (lambda glue: glue.rl_agent_start(Action()), r"type Observation, not Action\(\)"),
+    (lambda glue: glue.rl_agent_step(0.0, 7), "type Observation, not 7"),
+    (lambda glue: glue.rl_agent_load("text"), "type bytes, not 'text'"),
+    (lambda glue: glue.rl_env_load(None), "type bytes, not None"),
+]
+
+
+def test_a_mistake_is_answered_at_once_and_the_session_goes_on(experiment: Experiment) -> None:
+    experiment.rl_init()
+    for mistake, complaint in MISTAKES:
+        with pytest.raises(LocalProtocolError, match=complaint):
+            mistake(experiment)
+    assert not experiment.rl_episode(3)
+    assert experiment.rl_num_steps() == 3
+
+
+def test_largest_seed_and_limit_are_accepted(experiment: Experiment) -> None:
+    assert experiment.rl_init(2**63 - 1) == "a task"
+    assert experiment.rl_episode(2**32 - 1)
+
+
+class Keeping(ScriptedAgent):
+    saved = b"its own"
+
+    def agent_save(self) -> bytes:
+        return self.saved
+
+    def agent_load(self, data: bytes) -> None:
+        self.saved = data
+
+
+class KeepingEnvironment(ScriptedEnvironment):
+    saved = b"its"
+
+    def env_save(self) -> bytes:
+        return self.saved
+
+    def env_load(self, data: bytes) -> None:
+        self.saved = data
+
+    def env_step(self, action: Action) -> Step:  # type: ignore[override]
+        reward, observation, terminal = super().env_step(action)
+        return Step(reward, observation, terminal, truncated=terminal)
+
+
+@BOTH
+def test_half_steps_and_saves_reach_the_players(glue: Callable[..., Any]) -> None:
+    with glue(Keeping(), KeepingEnvironment(length=2)) as experiment:
+        experiment.rl_init()
+        assert experiment.rl_env_start() == Observation([0])
+        assert experiment.rl_agent_start(Observation([0])) == Action([100])
+        assert experiment.rl_env_step(Action([100])) == Step(1.0, Observation([1]), False, False)
+        assert experiment.rl_agent_step(1.0, Observation([1])) == Action([101])
+        assert experiment.rl_env_step(Action([101])) == Step(1.0, Observation([2]), True, True)
+        for saved in ((b"its own", b"its"), (b"an agent's", b"another's")):
+            assert (experiment.rl_agent_save(), experiment.rl_env_save()) == saved
+            experiment.rl_agent_load(b"an agent's")
+            experiment.rl_env_load(b"another's")
+
+
+def test_numbers_may_be_of_numpy(experiment: Experiment) -> None:
+    assert experiment.rl_init(seed=np.int64(7)) == "a task"  # type: ignore[arg-type]
+    assert not experiment.rl_episode(np.uint32(2))  # type: ignore[arg-type]
+    assert experiment.rl_num_steps() == 2

@@ -104,9 +104,7 @@ def test_who_moves_illegally_loses() -> None:
     assert returns(Lowest(), "tictactoe_v3", 1, opponent=OPPONENT, player=1) == [-1.0]
 
 
-def test_maskable_ppo_learns_to_beat_a_random_opponent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_maskable_ppo_learns_to_beat_a_random_player(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the page shows, and then as an agent."""
     pytest.importorskip("sb3_contrib", reason="needs sb3-contrib: the extra sb3")
     pytest.importorskip("torch").set_num_threads(1)

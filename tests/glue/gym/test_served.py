@@ -136,9 +136,7 @@ def connected(name: str) -> Iterator[Any]:
     ("way", "name"),
     [(connected, "tests/Nested-v0"), *((wrapped, f"{name}-v1") for name in ("CartPole", "Blackjack"))],
 )
-def test_there_and_back_is_where_it_began(
-    name: str, way: Callable[[str], AbstractContextManager[Any]]
-) -> None:
+def test_there_and_back_again(name: str, way: Callable[[str], AbstractContextManager[Any]]) -> None:
     direct = gymnasium.make(name)
     with way(name) as env:
         assert (env.observation_space, env.action_space) == (direct.observation_space, direct.action_space)
@@ -239,6 +237,8 @@ def test_options_are_keywords_of_the_environment() -> None:
         ("gymnasium:nowhere:X-v1", {}, "no environment"),
         ("gymnasium:CartPole-v1", {"lenght": 3}, "no option lenght"),
         ("gymnasium:CartPole-v1", {"max_episode_steps": 0}, "at least 1"),
+        ("gymnasium:FrozenLake-v1", {"map_name": "9x9"}, "9x9"),
+        ("CartPole-v1", {}, r"did you mean gymnasium:CartPole-v1\?"),
     ):
         with pytest.raises(ConfigError, match=message):
             make(name, **options)
@@ -301,13 +301,6 @@ def test_environments_of_the_old_global_generator_repeat_themselves(made: type, 
 
     with globals_restored():
         assert rewards(2**62 + 1) == rewards(2**62 + 1) != rewards(2)
-
-
-def test_what_gymnasium_cannot_make_is_a_config_error() -> None:
-    with pytest.raises(ConfigError, match="9x9"):
-        make("gymnasium:FrozenLake-v1", map_name="9x9")
-    with pytest.raises(ConfigError, match=r"did you mean gymnasium:CartPole-v1\?"):
-        make("CartPole-v1")
 
 
 def test_a_module_of_the_working_directory_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

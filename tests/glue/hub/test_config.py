@@ -151,3 +151,57 @@ def test_a_key_has_32_bytes() -> None:
     for secret, client in ((bytes(31), bytes(32)), (bytes(32), bytes(33))):
         with pytest.raises(ConfigError, match="a key has 32 bytes"):
             Keys(secret, {client: permit})
+
+
+# Ports for original programs
+
+
+@pytest.mark.parametrize(
+    ("text", "port"),
+    [
+        ("4096", LegacyPort(4096)),
+        ("*", LegacyPort(0)),
+        ("5096=b", LegacyPort(5096, "b")),
+        ("5096=a=b", LegacyPort(5096, "a=b")),
+        ("*=class of 2009", LegacyPort(0, "class of 2009")),
+        ("localhost:4096", LegacyPort(4096, host="localhost")),
+        ("127.0.0.2:4096=b", LegacyPort(4096, "b", "127.0.0.2")),
+        ("[::1]:4096=b", LegacyPort(4096, "b", "::1")),
+    ],
+)
+def test_a_port_has_a_session_and_a_host_if_they_are_said(text: str, port: LegacyPort) -> None:
+    assert LegacyPort.parse(text) == port
+
+
+def test_a_port_that_names_no_session_is_of_the_one_at_hand() -> None:
+    assert LegacyPort.parse("4096", "mine") == LegacyPort(4096, "mine")
+    assert LegacyPort.parse("4096=yours", "mine") == LegacyPort(4096, "yours")
+
+
+NO_PORTS = ("", "x", "=a", ":4096", "4096:", "-1", "4 096", "::1:4096", "a=b:4096", "4096 ")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        *((text, r"write \[HOST:\]PORT\[=SESSION\]") for text in NO_PORTS),
+        *((text, "from 1 to 65535") for text in ("0", "65536", "99999=b")),
+        *((f"4096={name}", "the name of a session") for name in ("", "a\tb", "x" * 256)),
+    ],
+)
+def test_what_is_no_port_is_refused(text: str, why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        LegacyPort.parse(text)
+
+
+@pytest.mark.parametrize("text", ["0.0.0.0:4096", "192.0.2.1:4096=b", "[::]:4096", "glue.example:4096"])
+def test_a_port_open_to_other_machines_must_be_said_to_be_insecure(text: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        LegacyPort.parse(text)
+    assert "insecure" in raised.value.settings
+    assert LegacyPort.parse(text, insecure=True).port == 4096
+
+
+def test_a_port_is_shown_as_an_address_and_its_session() -> None:
+    assert str(LegacyPort(4096)) == "127.0.0.1:4096, session 'default'"
+    assert str(LegacyPort(4096, "b", "::1")) == "[::1]:4096, session 'b'"

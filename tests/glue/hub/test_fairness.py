@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
@@ -13,13 +13,13 @@ from glue.hub.io.connection import Connection
 from glue.hub.io.server import Hub
 from glue.hub.session import _MAX_QUERIES
 from glue.types import Action
-from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.messages import CALLS, Kind, Message, Role, Value
+from glue.wire.codec import TO_HUB, encode
+from glue.wire.messages import Kind, Message, Role, Value
 from tests.scripted.peer import GREETING, READY, TIMEOUT, ScriptedPeer, framed, hello_scalars
 
 REQUESTS = 20
-AGENT_STEP = b"\x94\x06"
-"""First bytes of an AGENT_STEP's header."""
+AGENT_STEP, ENV_STEP = b"\x94\x06", b"\x93\x0d"
+"""First bytes of the headers of calls."""
 
 
 class Rig:
@@ -190,53 +190,22 @@ def test_a_turn_takes_one_message_of_a_session(rig: Rig, kind: Kind, scalars: tu
         assert received(peer).count(answer) <= 1, f"turn {turn}"
 
 
-class Player:
-    """A connection of an agent or environment that takes part in several sessions."""
-
-    def __init__(self, rig: Rig, role: Role, sessions: Sequence[str]) -> None:
-        hello = hello_scalars(role)
-        self._peer = rig.connect(*(frame(Kind.HELLO, session, 0, *hello) for session in sessions))
-        self.steps: list[Message] = []
-        for skip in (lambda: self._peer.read(len(GREETING)), self._peer.read_frame):
-            rig.turns_until(lambda: self._peer.can_read(0))
-            skip()
-
-    def answer(self) -> None:
-        """Answer every call received, but keep steps."""
-        while self._peer.can_read(0):
-            call = decode(self._peer.receive_frames(), FROM_HUB)
-            if call.kind in (Kind.ENV_STEP, Kind.AGENT_STEP):
-                self.steps.append(call)
-            elif call.kind in CALLS:
-                text = call.kind in (Kind.ENV_INIT, Kind.AGENT_INIT)
-                self.say(Message(call.kind, call.session, call.seq, (), b"a task" if text else Action().body))
-
-    def say(self, *messages: Message) -> None:
-        self._peer.send_bytes(b"".join(framed(*encode(message, TO_HUB)) for message in messages))
-
-
 def test_the_steps_that_follow_from_answers_received_together_leave_together(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sessions = ("a", "b", "c")
-    agent, environment = (Player(rig, role, sessions) for role in (Role.AGENT, Role.ENVIRONMENT))
-
-    def begun() -> bool:
-        agent.answer()
-        environment.answer()
-        return b"a task" in received(experiments[-1])
+    _, environment = (
+        rig.connect(*(frame(Kind.HELLO, session, 0, *hello_scalars(role)) for session in sessions))
+        for role in (Role.AGENT, Role.ENVIRONMENT)
+    )
+    for session in sessions:
+        rig.join(Role.EXPERIMENT, session).send_bytes(frame(Kind.RL_STEP, session, 1))
+    asked = bytearray()
 
     def stepping() -> bool:
-        agent.answer()
-        environment.answer()
-        return len(environment.steps) == len(sessions)
+        asked.extend(received(environment))
+        return asked.count(ENV_STEP) == len(sessions)
 
-    experiments = []
-    for session in sessions:
-        experiments.append(rig.join(Role.EXPERIMENT, session))
-        experiments[-1].send_bytes(frame(Kind.RL_INIT, session, 1, None))
-        rig.turns_until(begun)
-        experiments[-1].send_bytes(frame(Kind.RL_EPISODE, session, 2, 0))
     rig.turns_until(stepping)
     sent: list[bytes] = []
     send = Connection.send
@@ -246,13 +215,10 @@ def test_the_steps_that_follow_from_answers_received_together_leave_together(
         send(self, data)
 
     monkeypatch.setattr(Connection, "send", note)
-    environment.say(
-        *(Message(Kind.ENV_STEP, *step[1:3], (1.0, False), Action().body) for step in environment.steps)
-    )
+    answers = (Message(Kind.ENV_STEP, session, 1, (1.0, False), Action().body) for session in sessions)
+    environment.send_bytes(b"".join(framed(*encode(answer, TO_HUB)) for answer in answers))
     rig.turns_until(lambda: any(AGENT_STEP in data for data in sent))
-    agent.answer()
-    assert [step.session for step in agent.steps] == list(sessions)
-    assert sum(AGENT_STEP in data for data in sent) == 1
+    assert [data.count(AGENT_STEP) for data in sent if AGENT_STEP in data] == [len(sessions)]
 
 
 class Holding:

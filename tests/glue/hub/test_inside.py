@@ -10,8 +10,6 @@ from types import FrameType
 import pytest
 
 from glue.client.experiment import RemoteExperiment, connect_over
-from glue.client.players import serve_agent, serve_environment
-from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import HubClosed
 from glue.hub.config import HubConfig
@@ -22,13 +20,15 @@ from glue.hub.io.loop import Loop
 from glue.hub.io.server import Hub
 from glue.system import network, threads
 from glue.wire.messages import Kind, Message
+from tests.glue.hub.test_inside_players import play
+from tests.hubs import running
 from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT
 
 
 @pytest.fixture
 def hub() -> Iterator[Hub]:
-    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT)).in_background() as hub:
+    with running(heartbeat=0.05) as hub:
         yield hub
 
 
@@ -36,26 +36,14 @@ def inside(hub: Hub, session: str = "default") -> RemoteExperiment:
     return connect_over(InsideTransport(hub), session)
 
 
-def serve_chain(hub: Hub) -> None:
-    """Serve both players in threads, which end when the hub does."""
-    url = hub.endpoints[0]
-    threading.Thread(target=serve_agent, args=(ChainAgent(), url)).start()
-    threading.Thread(target=serve_environment, args=(ChainEnvironment(), url)).start()
-
-
-def play(glue: Experiment) -> list[object]:
-    shown: list[object] = [glue.rl_init(), glue.rl_start()]
-    shown += [glue.rl_step() for _ in range(25)]
-    shown += [glue.rl_episode(7), glue.rl_return(), glue.rl_num_steps(), glue.rl_agent_message("how?")]
-    return shown
-
-
 def test_it_plays_where_there_is_no_epoll(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(network, "Poller", network.PortablePoller)  # as on macOS
-    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT)).in_background() as hub:
-        serve_chain(hub)
-        with inside(hub) as glue, local(ChainAgent(), ChainEnvironment()) as expected:
-            assert play(glue) == play(expected)
+    with (
+        running(ChainAgent(), ChainEnvironment(), heartbeat=0.05) as hub,
+        inside(hub) as glue,
+        local(ChainAgent(), ChainEnvironment()) as expected,
+    ):
+        assert play(glue, 1, 7) == play(expected, 1, 7)
 
 
 class LateLock:
@@ -80,9 +68,7 @@ class LateLock:
         self._lock.release()
 
 
-def test_a_thread_that_the_machine_stops_while_it_asks_for_the_loop_is_given_it_all_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_thread_stopped_while_it_asks_for_the_loop_is_given_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "RLock", LateLock)
     taken = Loop(0.01, print)
     given: list[str] = []

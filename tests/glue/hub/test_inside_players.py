@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,55 +13,30 @@ import pytest
 
 from glue import make, make_agent
 from glue.client.experiment import connect_over
-from glue.client.players import serve_agent, serve_environment
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
-from glue.errors import ConfigError, GlueError, PeerFailed
-from glue.hub.config import HubConfig
+from glue.errors import ConfigError, PeerFailed
 from glue.hub.io.inside import InsideTransport, host
-from glue.hub.io.server import Hub
 from glue.pace import Pace
 from glue.types import Action, Observation
 from glue.wire.messages import Role
+from tests.hubs import running, serving
 from tests.players import ScriptedAgent, ScriptedEnvironment
-
-TIMEOUT = 20.0
-"""Seconds until a test gives up waiting. Generous: machines are busy."""
-
-WAITING = Pace()
 
 ARRANGEMENTS = [frozenset[Role](), {Role.ENVIRONMENT}, {Role.AGENT}, {Role.ENVIRONMENT, Role.AGENT}]
 
 
-def serve(role: Role, player: Any, url: str) -> threading.Thread:
-    """Serve a player over a socket until the hub ends, or the player leaves."""
-
-    def run() -> None:
-        with contextlib.suppress(GlueError, KeyboardInterrupt):
-            (serve_agent if role is Role.AGENT else serve_environment)(player, url)
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    return thread
-
-
 @contextmanager
-def arranged(
-    inside: Any, agent: Any, environment: Any, pace: Pace = WAITING
-) -> Iterator[tuple[Experiment, str]]:
-    """Yield the experiment of a hub with some players inside and the others on sockets, and the hub's URL."""
+def arranged(inside: Any, agent: Any, environment: Any, **settings: Any) -> Iterator[Experiment]:
+    """Yield the experiment of a hub with some players inside and the others on sockets."""
     players = {Role.AGENT: agent, Role.ENVIRONMENT: environment}
-    threads = []
-    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=60.0, pace=pace)
-    with Hub(config).in_background() as hub:
-        url = hub.endpoints[0]
-        threads += [serve(role, player, url) for role, player in players.items() if role not in inside]
-        transport = InsideTransport(hub, {role: players[role] for role in inside})
-        with connect_over(transport) as glue:
-            glue.wait_for_players(lambda missing: None)
-            yield glue, url
-    for thread in threads:
-        thread.join(TIMEOUT)
+    outside = [player for role, player in players.items() if role not in inside]
+    with (
+        running(*outside, heartbeat=0.05, **settings) as hub,
+        connect_over(InsideTransport(hub, {role: players[role] for role in inside})) as glue,
+    ):
+        glue.wait_for_players(lambda missing: None)
+        yield glue
 
 
 def play(glue: Experiment, seed: int, max_steps: int) -> list[object]:
@@ -83,7 +56,7 @@ def play(glue: Experiment, seed: int, max_steps: int) -> list[object]:
 def test_results_are_those_of_one_process(
     inside: Any, environment: str, agent: str, seed: int, max_steps: int
 ) -> None:
-    with arranged(inside, make_agent(agent), make(environment)) as (glue, _):
+    with arranged(inside, make_agent(agent), make(environment)) as glue:
         result = play(glue, seed, max_steps)
         learned = glue.rl_agent_save() if agent == "sarsa" else b""
     with local(make_agent(agent), make(environment)) as expected:
@@ -92,9 +65,7 @@ def test_results_are_those_of_one_process(
 
 
 @pytest.mark.parametrize("role", [Role.AGENT, Role.ENVIRONMENT])
-def test_a_player_that_raises_inside_fails_the_verb_as_outside(
-    role: Role, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_player_that_raises_inside_fails_as_outside(role: Role, capsys: pytest.CaptureFixture[str]) -> None:
     def fail(call: str) -> None:
         if call.startswith(("agent_step", "env_step")):
             raise ValueError("out of ideas")
@@ -103,7 +74,7 @@ def test_a_player_that_raises_inside_fails_the_verb_as_outside(
     for inside in (frozenset[Role](), {role}):
         agent = ScriptedAgent(before=fail) if role is Role.AGENT else ScriptedAgent()
         environment = ScriptedEnvironment(before=fail) if role is Role.ENVIRONMENT else ScriptedEnvironment()
-        with arranged(inside, agent, environment) as (glue, _):
+        with arranged(inside, agent, environment) as glue:
             glue.rl_init()
             with pytest.raises(PeerFailed, match="ValueError: out of ideas") as failed:
                 glue.rl_episode(9)
@@ -116,10 +87,8 @@ def test_a_notebook_hosts_an_environment_for_an_agent_from_outside(tmp_path: Pat
     url = f"ipc://{tmp_path}/hub"
     with local(make_agent("sarsa"), make("mines")) as alone:
         expected = play(alone, 5, 50)
-    with host(environment=make("mines"), bind=url) as glue:
-        thread = serve(Role.AGENT, make_agent("sarsa"), url)
+    with serving(url, make_agent("sarsa")), host(environment=make("mines"), bind=url) as glue:
         assert play(glue, 5, 50) == expected
-    thread.join(TIMEOUT)
 
 
 def test_hosting_needs_a_player_and_a_free_address() -> None:
@@ -149,7 +118,7 @@ class Dawdler(ScriptedAgent):
 @pytest.mark.parametrize("inside", [frozenset[Role](), frozenset({Role.ENVIRONMENT})])
 def test_an_environment_with_a_rate_does_not_wait(inside: frozenset[Role]) -> None:
     environment = ScriptedEnvironment(30, 1.0, [])
-    with arranged(inside, Dawdler(environment), environment, Pace(rate=500.0)) as (glue, _):
+    with arranged(inside, Dawdler(environment), environment, pace=Pace(rate=500.0)) as glue:
         glue.rl_init()
         assert glue.rl_episode()
         assert glue.rl_return() == 30.0

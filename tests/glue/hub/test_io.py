@@ -48,6 +48,8 @@ def test_a_port_that_is_reserved_can_be_opened_again_and_again_by_those_who_know
                 open_address(url)
             with pytest.raises(ConnectionRefusedError):
                 socket.create_connection(("127.0.0.1", port_of(url)))
+    with reserve(url), pytest.raises(ConfigError, match="in use"), reserve(url):
+        pass
     with (
         open_address("tcp://127.0.0.1:*") as taken,
         pytest.raises(ConfigError, match="in use"),

@@ -9,11 +9,11 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
-import zmq
 
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
 from glue.client.experiment import RemoteExperiment, connect
+from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
 from glue.client.sockets import open_transport
 from glue.client.target import find_target
@@ -42,6 +42,13 @@ def folder(tmp_path: Path) -> KeyFolder:
         made.entrant(name)
     made.allow("".join(f'[{role}]\nrole = "{role}"\nsession = "a"\n' for role in Role))
     return made
+
+
+@pytest.fixture(params=[False, True], ids=["plain sockets", "libzmq"])
+def context(request: pytest.FixtureRequest) -> Iterator[Context | None]:
+    """What a client connects with."""
+    with Context() as made:
+        yield made if request.param else None
 
 
 class Log:
@@ -130,25 +137,21 @@ def test_a_key_opens_no_more_than_its_address(folder: KeyFolder) -> None:
         join(hub, folder, "experiment")
 
 
-@pytest.mark.parametrize("libzmq", [False, True])
-def test_an_unknown_key_is_an_error_at_once_that_names_it(folder: KeyFolder, libzmq: bool) -> None:
-    with zmq.Context() as context, serving(folder) as hub:
-        chosen = context if libzmq else None
+def test_an_unknown_key_is_an_error_at_once_that_names_it(folder: KeyFolder, context: Context | None) -> None:
+    with serving(folder) as hub:
         url, key = hub.endpoints[0], secret(folder, "stranger")
         with pytest.raises(Refused) as refused:
-            connect(url, "a", key=key, hub_key=folder.hub_key, context=chosen)
+            connect(url, "a", key=key, hub_key=folder.hub_key, context=context)
     public = encode(read_public(secret(folder, "stranger")))
     assert f"does not know your key, {public} in {secret(folder, 'stranger')}: ask" in str(refused.value)
 
 
-@pytest.mark.parametrize("libzmq", [False, True])
-def test_another_hubs_key_is_an_error_soon(folder: KeyFolder, libzmq: bool) -> None:
+def test_another_hubs_key_is_an_error_soon(folder: KeyFolder, context: Context | None) -> None:
     log = Log()
     other = folder.path / "agent.key"
-    with zmq.Context() as context, serving(folder, log) as hub:
-        chosen = context if libzmq else None
+    with serving(folder, log) as hub:
         with pytest.raises(Refused) as caught:
-            connect(hub.endpoints[0], "a", key=secret(folder, "experiment"), hub_key=other, context=chosen)
+            connect(hub.endpoints[0], "a", key=secret(folder, "experiment"), hub_key=other, context=context)
         assert "hub_key" in caught.value.settings
     log.wait_for("it expects a different public key for this hub")
 
@@ -157,12 +160,12 @@ CUTS = (0, 64, 64 + 170, 0)
 """Bytes from the hub before a handshake is cut: none, its greeting, its greeting and WELCOME."""
 
 
-@pytest.mark.parametrize("libzmq", [False, True])
-def test_handshakes_that_are_cut_are_tried_again_however_often(folder: KeyFolder, libzmq: bool) -> None:
+def test_handshakes_that_are_cut_are_tried_again_however_often(
+    folder: KeyFolder, context: Context | None
+) -> None:
     with (
-        zmq.Context() as context,
         serving(folder) as hub,
-        Proxy(int(hub.endpoints[0].rpartition(":")[2])).in_background() as proxy,
+        Proxy(hub.endpoints[0]).in_background() as proxy,
     ):
         proxy.cut(*CUTS)
         with connect(
@@ -171,7 +174,7 @@ def test_handshakes_that_are_cut_are_tried_again_however_often(folder: KeyFolder
             key=secret(folder, "experiment"),
             hub_key=folder.hub_key,
             wait=TIMEOUT,
-            context=context if libzmq else None,
+            context=context,
         ) as glue:
             assert proxy.accepted > len(CUTS)
             proxy.cut(*CUTS)
@@ -181,12 +184,10 @@ def test_handshakes_that_are_cut_are_tried_again_however_often(folder: KeyFolder
             assert proxy.accepted > len(CUTS)
 
 
-@pytest.mark.parametrize("libzmq", [False, True])
-def test_who_has_no_key_is_told_that_one_is_needed(folder: KeyFolder, libzmq: bool) -> None:
-    with zmq.Context() as context, serving(folder) as hub:
-        chosen = context if libzmq else None
+def test_who_has_no_key_is_told_that_one_is_needed(folder: KeyFolder, context: Context | None) -> None:
+    with serving(folder) as hub:
         with pytest.raises(Refused, match=r"glue-keys new") as caught:
-            connect(hub.endpoints[0], "a", context=chosen, wait=TIMEOUT)
+            connect(hub.endpoints[0], "a", context=context, wait=TIMEOUT)
         assert caught.value.settings == ("key", "hub_key")
 
 
@@ -213,9 +214,7 @@ def test_key_and_hub_key_go_together(folder: KeyFolder) -> None:
     assert caught.value.settings == ("key",)
 
 
-def test_a_program_finds_its_place_in_the_environment(
-    folder: KeyFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_program_finds_its_place_in_variables(folder: KeyFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     with serving(folder) as hub:
         for name, value in (
             ("GLUE_HUB", hub.endpoints[0]),

@@ -12,11 +12,10 @@ from glue import connect
 from glue.client.observer import AnswerSeen, StartSeen, StepSeen, TaskSpecSeen, observe
 from glue.engine.experiment import Experiment
 from glue.errors import HubClosed
-from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.types import Action, Observation
 from glue.wire.messages import Kind
-from tests.hubs import serving
+from tests.hubs import running
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.scripted.peer import TIMEOUT, ScriptedPeer
 
@@ -36,12 +35,9 @@ class Large(ScriptedEnvironment):
 
 @contextmanager
 def playing(environment: ScriptedEnvironment) -> Iterator[tuple[Hub, Experiment]]:
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT, farewell=0.1))
-    url = hub.endpoints[0]
     with (
-        serving(url, ScriptedAgent(), environment),
-        hub.in_background(),
-        connect(url, wait=TIMEOUT) as glue,
+        running(ScriptedAgent(), environment, heartbeat=0.05, farewell=0.1) as hub,
+        connect(hub.endpoints[0], wait=TIMEOUT) as glue,
     ):
         glue.wait_for_players(lambda missing: None)
         yield hub, glue

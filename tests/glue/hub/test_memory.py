@@ -11,8 +11,8 @@ import pytest
 
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from glue.types import Action, Observation
-from glue.wire.messages import CALLS, MAX_NAME, PROTOCOL_VERSION, THREE_ROLES, Kind, Role
+from glue.types import Observation
+from glue.wire.messages import CALLS, MAX_NAME, PROTOCOL_VERSION, THREE_ROLES, Body, Kind, Role
 from tests.glue.hub.test_sessions import Rig, instance
 from tests.scripted.peer import TIMEOUT, ScriptedPeer
 from tests.weighing import check, check_sessions, size_of
@@ -20,12 +20,20 @@ from tests.weighing import check, check_sessions, size_of
 HEAVY = 500_000
 
 
+def text() -> bytes:
+    return bytes(HEAVY)
+
+
+def observation() -> bytes:
+    return Observation(chars=bytes(HEAVY - 16)).body
+
+
 class Weighed(Rig):
-    """A rig that weighs its sessions after every message; all bodies are heavy unless said otherwise."""
+    """A rig that weighs its sessions after every message; players answer with heavy bodies."""
 
     def __init__(self) -> None:
         super().__init__(HubConfig(timeout=5.0))
-        self.size = HEAVY
+        self.heavy = True
         self.requests = 0
         self.fill()
 
@@ -33,39 +41,35 @@ class Weighed(Rig):
         super().put(channel, *message, **more)
         check_sessions(self.sessions)
 
-    def text(self) -> bytes:
-        return bytes(self.size)
-
-    def observation(self) -> bytes:
-        return Observation(chars=bytes(self.size - 16)).body
-
-    def action(self) -> bytes:
-        return Action(chars=bytes(self.size - 16)).body
+    def usual(self, kind: Kind) -> tuple[tuple[Any, ...], bytes]:
+        scalars, body = super().usual(kind)
+        if not self.heavy or not body:
+            return scalars, body
+        return scalars, text() if CALLS[kind].reply.body is Body.TEXT else observation()
 
     def request(self, kind: Kind, *scalars: Any, body: bytes = b"") -> None:
         """Let the experiment make a request."""
         self.requests += 1
         self.put("x", kind, self.requests, *scalars, body=body)
 
-    def reply(self, channel: str, *scalars: Any, body: bytes = b"") -> Kind:
-        """Let a player answer its call; return the kind."""
-        *_, call = [message for message in self.received(channel) if message.kind in CALLS]
-        self.put(channel, call.kind, call.seq, *scalars, body=body)
-        return call.kind
+    def each_answers(self, channels: str) -> None:
+        """Let players answer one call each, in this order."""
+        for channel in channels:
+            self.answer(channel)
 
     def init(self) -> None:
         self.request(Kind.RL_INIT, None)
-        self.reply("e", body=self.text())
-        self.reply("a")
+        self.each_answers("ea")
+
+    def start(self) -> None:
+        self.init()
+        self.request(Kind.RL_START)
+        self.each_answers("ea")
 
     def replace(self, channel: str, role: Role) -> None:
         """Let another player take a role."""
         self.put(channel, Kind.GOODBYE, 0, "enough")
         self.hello(channel, role, who=f"another {channel}")
-
-    def step(self, terminal: int = False) -> None:
-        """Let the environment answer a step."""
-        assert self.reply("e", 1.0, terminal, body=self.observation()) is Kind.ENV_STEP
 
     @property
     def held(self) -> int:
@@ -73,37 +77,25 @@ class Weighed(Rig):
         return sum(self.sessions.memory.accounts.values()) // HEAVY
 
 
-def start(rig: Weighed) -> None:
-    rig.init()
-    rig.request(Kind.RL_START)
-    rig.reply("e", body=rig.observation())
-    rig.reply("a", body=rig.action())
-
-
 def an_episode(rig: Weighed) -> int:
     rig.init()
     rig.request(Kind.RL_EPISODE, 0)
-    rig.reply("e", body=rig.observation())
-    for _ in range(3):
-        rig.reply("a", body=rig.action())
-        rig.step()
-    rig.reply("a", body=rig.action())
-    rig.step(terminal=True)
+    rig.each_answers("eaeaeaea")
+    rig.answer("e", 1.0, True)
     return 3  # the task spec, the action, and the observation that came with the end
 
 
 def a_step_that_ends_the_episode(rig: Weighed) -> int:
-    start(rig)
+    rig.start()
     rig.request(Kind.RL_STEP)
-    rig.step(terminal=True)
+    rig.answer("e", 1.0, True)
     return 3  # the task spec, the action, and the observation for the reply
 
 
 def the_reply_to_a_step(rig: Weighed) -> int:
-    start(rig)
+    rig.start()
     rig.request(Kind.RL_STEP)
-    rig.step()
-    rig.reply("a", body=rig.action())
+    rig.each_answers("ea")
     return 4  # the task spec, the action, and the reply of two bodies
 
 
@@ -111,7 +103,7 @@ def an_observation_for_a_new_agent(rig: Weighed) -> int:
     rig.init()
     rig.replace("a", Role.AGENT)
     rig.request(Kind.RL_START)
-    rig.reply("e", body=rig.observation())
+    rig.answer("e")
     return 2
 
 
@@ -119,65 +111,58 @@ def an_episode_with_a_new_agent(rig: Weighed) -> int:
     rig.init()
     rig.replace("a", Role.AGENT)
     rig.request(Kind.RL_EPISODE, 0)
-    rig.reply("e", body=rig.observation())
-    rig.reply("a")
-    for _ in range(3):
-        rig.reply("a", body=rig.action())
-        rig.step()
+    rig.each_answers("eaaeaeae")
     return 3
 
 
 def a_message_for_a_new_agent(rig: Weighed) -> int:
     rig.init()
     rig.replace("a", Role.AGENT)
-    rig.request(Kind.RL_AGENT_MESSAGE, body=rig.text())
+    rig.request(Kind.RL_AGENT_MESSAGE, body=text())
     return 2
 
 
 def an_action_for_a_new_environment(rig: Weighed) -> int:
     rig.init()
     rig.replace("e", Role.ENVIRONMENT)
-    rig.request(Kind.RL_ENV_STEP, body=rig.action())
+    rig.request(Kind.RL_ENV_STEP, body=observation())
     return 2
 
 
 def a_new_environment_with_another_task(rig: Weighed) -> int:
-    start(rig)
+    rig.start()
     rig.request(Kind.RL_CLEANUP)
-    rig.reply("e")
-    rig.reply("a")
+    rig.each_answers("ea")
     rig.replace("e", Role.ENVIRONMENT)
     rig.request(Kind.RL_EPISODE, 0)
-    rig.reply("e", body=rig.text()[1:] + b"!")
-    rig.reply("e", body=rig.observation())
-    rig.reply("a")
-    rig.reply("a", body=rig.action())
+    rig.answer("e", body=text()[1:] + b"!")
+    rig.each_answers("eaa")
     return 3
 
 
 def an_episode_that_becomes_light(rig: Weighed) -> int:
-    start(rig)
-    rig.size = 20
-    start(rig)
+    rig.start()
+    rig.heavy = False
+    rig.start()
     return 0
 
 
 def a_void_episode(rig: Weighed) -> int:
-    start(rig)
+    rig.start()
     rig.request(Kind.RL_STEP)
     rig.put("a", Kind.GOODBYE, 0, "enough")
     return 2
 
 
 def an_experiment_that_left(rig: Weighed) -> int:
-    start(rig)
+    rig.start()
     rig.request(Kind.RL_STEP)
     rig.put("x", Kind.GOODBYE, 0, "enough")
     return 0
 
 
 def a_session_that_all_have_left(rig: Weighed) -> int:
-    start(rig)
+    rig.start()
     for channel in ("x", "e", "a"):
         rig.put(channel, Kind.GOODBYE, 0, "enough")
     assert rig.sessions.memory.total == 0

@@ -89,9 +89,7 @@ def test_a_step_without_a_start_shows_the_empty_action(rig: Rig) -> None:
     assert [one[3] for one in shown(rig)] == [OBSERVATION + EMPTY]
 
 
-def test_no_more_moments_are_shown_than_are_wanted_and_the_numbers_tell_how_many_were_missed(
-    rig: Rig,
-) -> None:
+def test_no_more_moments_are_shown_than_are_wanted_and_the_numbers_tell_what_was_missed(rig: Rig) -> None:
     watch(rig, 2)
     play(rig, 1, 10)
     assert [one[:2] for one in shown(rig)] == [(Kind.OBSERVED_START, 1), (Kind.OBSERVED_STEP, 2)]

@@ -29,12 +29,6 @@ def calls(rig: Rig, channel: str) -> list[Message]:
     return [message for message in rig.received(channel) if message.kind is not Kind.HEARTBEAT]
 
 
-def only(rig: Rig, channel: str) -> Message:
-    """Return the only call that a player has received."""
-    (call,) = calls(rig, channel)
-    return call
-
-
 def begun(
     pace: Pace, *abilities: str, time: TimeLimits | None = None, experiment: tuple[str, ...] = ()
 ) -> Rig:
@@ -43,22 +37,19 @@ def begun(
     The first step is due at once, and has been asked for.
     """
     rig: Rig = Rig(HubConfig(heartbeat=1.0, timeout=5.0, time=time, pace=pace))
-    rig.hello("e", Role.ENVIRONMENT)
-    rig.hello("a", Role.AGENT, abilities=abilities)
-    rig.hello("x", Role.EXPERIMENT, abilities=experiment)
+    rig.fill(agent=abilities, experiment=experiment)
     rig.ask(Kind.RL_INIT, 1, None)
     rig.serve()
     rig.ask(Kind.RL_EPISODE, 2, 0)
     rig.answer("e")
-    start = only(rig, "a")
     rig.wait(3.0)
-    rig.put("a", start.kind, start.seq, body=action(100))
+    rig.answer("a", body=action(100))
     return rig
 
 
 def step(rig: Rig, number: int, terminal: bool = False) -> bytes:
     """Let the environment make the step that it was asked for; return the action that it carries out."""
-    call = only(rig, "e")
+    call = rig.called("e")
     assert call.kind is Kind.ENV_STEP
     rig.put("e", call.kind, call.seq, 1.0, terminal, body=observation(number))
     return call.body
@@ -68,7 +59,7 @@ def test_an_action_that_comes_in_time_is_carried_out_when_its_step_is_due() -> N
     rig = begun(Pace(rate=10.0))
     assert step(rig, 1) == action(100)
     rig.wait(0.0625)
-    call = only(rig, "a")
+    call = rig.called("a")
     assert (call.kind, call.scalars, call.body) == (Kind.AGENT_STEP, (1.0,), observation(1))
     rig.put("a", call.kind, call.seq, body=action(101))
     assert calls(rig, "e") == []  # not yet
@@ -80,13 +71,13 @@ def test_an_action_that_comes_in_time_is_carried_out_when_its_step_is_due() -> N
 def test_a_late_agents_call_stays_outstanding_and_its_answer_is_carried_out_next() -> None:
     rig = begun(Pace(rate=10.0))
     step(rig, 1)
-    first = only(rig, "a")
+    first = rig.called("a")
     for number in (2, 3, 4):
         rig.wait(0.1)
         assert step(rig, number) == action(100)
     assert calls(rig, "a") == []
     rig.put("a", first.kind, first.seq, body=action(101))
-    second = only(rig, "a")  # at once: the newest observation, and the sum of the rewards since the first
+    second = rig.called("a")  # at once: the newest observation, and the sum of the rewards since the first
     assert (second.scalars, second.body) == ((3.0,), observation(4))
     rig.wait(0.1)
     assert step(rig, 5) == action(101)
@@ -102,15 +93,12 @@ def test_an_experiment_with_the_capability_is_told_how_many_actions_were_late(
 ) -> None:
     rig = begun(Pace(rate=10.0), experiment=experiment)
     step(rig, 1)
-    first = only(rig, "a")
     rig.wait(0.1)
     step(rig, 2)
-    rig.put("a", first.kind, first.seq, body=action(101))
+    rig.answer("a")
     rig.wait(0.1)
     step(rig, 3, terminal=True)
-    for _ in range(2):
-        call = only(rig, "a")
-        rig.put("a", call.kind, call.seq, body=action(102) if call.kind is Kind.AGENT_STEP else b"")
+    assert [rig.answer("a"), rig.answer("a")] == [Kind.AGENT_STEP, Kind.AGENT_END]
     rig.received("x")
     (reply,) = rig.say("x", Kind.RL_NUM_STEPS, 3)
     assert reply.scalars == told
@@ -129,12 +117,12 @@ def test_a_welcome_confirms_the_pace_to_experiments_where_there_is_one() -> None
 def test_an_episode_that_ends_while_the_agent_is_late_waits_for_its_answer() -> None:
     rig = begun(Pace(rate=10.0))
     step(rig, 1)
-    late = only(rig, "a")
+    late = rig.called("a")
     rig.wait(0.1)
     step(rig, 2, terminal=True)
     assert calls(rig, "a") == calls(rig, "x") == []
     rig.put("a", late.kind, late.seq, body=action(101))
-    end = only(rig, "a")
+    end = rig.called("a")
     assert (end.kind, end.scalars) == (Kind.AGENT_END, (1.0,))
     (reply,) = rig.say("a", end.kind, end.seq) or rig.received("x")
     assert (reply.kind, reply.scalars) == (Kind.RL_EPISODE, (True,))
@@ -143,20 +131,20 @@ def test_an_episode_that_ends_while_the_agent_is_late_waits_for_its_answer() -> 
 def test_an_agent_with_the_capability_is_told_its_deadline_and_latency() -> None:
     rig = begun(Pace(rate=10.0), "pace")
     step(rig, 1)
-    call = only(rig, "a")
+    call = rig.called("a")
     assert list(call.scalars) == pytest.approx([1.0, 0.1, 3.0])
     rig.wait(0.05)
     rig.put("a", call.kind, call.seq, body=action(101))
     rig.wait(0.05)
     rig.wait(0.02)  # the environment takes its time
     step(rig, 2)
-    assert list(only(rig, "a").scalars) == pytest.approx([1.0, 0.08, 0.05])
+    assert list(rig.called("a").scalars) == pytest.approx([1.0, 0.08, 0.05])
 
 
 def test_an_agent_that_returns_is_sent_its_outstanding_call_again() -> None:
     rig = begun(Pace(rate=10.0))
     step(rig, 1)
-    call = only(rig, "a")
+    call = rig.called("a")
     rig.cut("a")
     for number in (2, 3):
         rig.wait(0.1)
@@ -165,7 +153,7 @@ def test_an_agent_that_returns_is_sent_its_outstanding_call_again() -> None:
     assert welcome.scalars[1] is True
     assert again == call  # not the newest: that one it is given next
     rig.put("a2", call.kind, call.seq, body=action(101))
-    assert only(rig, "a2").body == observation(3)
+    assert rig.called("a2").body == observation(3)
 
 
 def test_an_agent_that_is_lost_voids_the_episode_and_another_takes_its_place() -> None:
@@ -185,7 +173,7 @@ def test_an_agent_that_is_lost_voids_the_episode_and_another_takes_its_place() -
 def test_an_environment_that_is_lost_ends_the_agents_call_too() -> None:
     rig = begun(Pace(rate=10.0))
     step(rig, 1)
-    late = only(rig, "a")
+    late = rig.called("a")
     rig.wait(0.1)
     rig.lose("e")
     rig.received("x")
@@ -194,13 +182,13 @@ def test_an_environment_that_is_lost_ends_the_agents_call_too() -> None:
     rig.hello("e2", Role.ENVIRONMENT)
     rig.ask(Kind.RL_START, 3)
     assert [rig.answer("e2"), rig.answer("e2")] == [Kind.ENV_INIT, Kind.ENV_START]
-    assert only(rig, "a").kind is Kind.AGENT_START
+    assert rig.called("a").kind is Kind.AGENT_START
 
 
 def test_an_answer_to_another_call_is_refused() -> None:
     rig = begun(Pace(rate=10.0))
     step(rig, 1)
-    call = only(rig, "a")
+    call = rig.called("a")
     (refusal,) = rig.say("a", Kind.AGENT_END, call.seq)
     assert refusal.scalars == ("not-asked", "AGENT_END was answered; AGENT_STEP was asked")
     assert error(rig.received("x"))[0] == ErrorCode.PEER_FAILED
@@ -209,7 +197,7 @@ def test_an_answer_to_another_call_is_refused() -> None:
 def test_an_agent_that_raises_fails_the_verb() -> None:
     rig = begun(Pace(rate=10.0))
     step(rig, 1)
-    call = only(rig, "a")
+    call = rig.called("a")
     rig.put("a", Kind.ERROR, call.seq, "exception", "no idea")
     assert error(rig.received("x")) == (ErrorCode.PEER_FAILED, "agent a raised in agent_step: no idea")
 
@@ -240,20 +228,19 @@ def test_a_message_between_two_steps_waits_for_the_agent() -> None:
     rig = begun(Pace(rate=10.0))
     # in an episode made step by step
     step(rig, 1, terminal=True)
-    end = only(rig, "a")
-    rig.put("a", end.kind, end.seq)
+    rig.answer("a")
     rig.ask(Kind.RL_START, 3)
     rig.serve()
     rig.received("x")
     rig.ask(Kind.RL_STEP, 4)
     step(rig, 1)
-    late = only(rig, "a")
+    late = rig.called("a")
     rig.wait(0.1)
     assert rig.received("x")[0].kind is Kind.RL_STEP
     rig.ask(Kind.RL_AGENT_MESSAGE, 5, body=b"well?")
     assert calls(rig, "a") == []
     rig.put("a", late.kind, late.seq, body=action(101))
-    assert only(rig, "a").body == b"well?"
+    assert rig.called("a").body == b"well?"
 
 
 @pytest.mark.parametrize("size", [10, 100_000])
@@ -261,16 +248,13 @@ def test_delayed_actions_are_part_of_the_memory(size: int) -> None:
     rig = begun(Pace(delay=50))
     for number in range(60):
         step(rig, number)
-        call = only(rig, "a")
-        rig.put("a", call.kind, call.seq, body=Action([1], chars=bytes(size)).body)
+        rig.answer("a", body=Action([1], chars=bytes(size)).body)
         check_sessions(rig.sessions)
 
 
 def test_a_batch_has_no_pace() -> None:
     rig: Rig = Rig(HubConfig(pace=Pace(rate=10.0)))
-    rig.hello("e", Role.ENVIRONMENT, abilities=("batch",))
-    rig.hello("a", Role.AGENT, abilities=("batch",))
-    rig.hello("x", Role.EXPERIMENT)
+    rig.fill(agent=("batch",), environment=("batch",))
     rig.ask(Kind.RL_INIT, 1, None)
     rig.answer("e")
     code, text = error(rig.received("x"))
@@ -278,9 +262,7 @@ def test_a_batch_has_no_pace() -> None:
 
 
 @pytest.mark.parametrize(("pace", "late"), [(Pace(delay=1), 0), (Pace(), None)])
-def test_an_experiment_in_another_process_knows_how_many_actions_were_late(
-    pace: Pace, late: int | None
-) -> None:
+def test_an_experiment_elsewhere_knows_how_many_actions_were_late(pace: Pace, late: int | None) -> None:
     with over_the_hub(ScriptedAgent([]), ScriptedEnvironment(3, 1.0, []), pace=pace) as glue:
         glue.rl_init()
         assert glue.rl_episode()

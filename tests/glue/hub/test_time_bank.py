@@ -8,26 +8,17 @@ from glue.errors import ConfigError
 from glue.hub.config import HubConfig, TimeLimits
 from glue.hub.timing import TimeBank
 from glue.wire.messages import ErrorCode, Kind, Role
+from tests.clock import Clock
 from tests.glue.hub.test_sessions import Rig
 
 LIMITS = TimeLimits(step_seconds=1.0, bank_seconds=3.0, start_seconds=5.0, total_seconds=100.0)
-
-
-class Clock:
-    """A clock that stands still until it is set."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class Timed:
     """A bank whose agent takes the given time for each answer, and of processors meanwhile."""
 
     def __init__(self, limits: TimeLimits = LIMITS, used: float | None = None) -> None:
-        self.clock = Clock()
+        self.clock = Clock(1000.0)
         self.used = used
         self.reads = 0
         self.bank = TimeBank(limits, self.clock, self.read)
@@ -151,7 +142,7 @@ def test_a_limit_is_a_time(seconds: float) -> None:
 @pytest.fixture
 def timed() -> tuple[Rig, Clock]:
     """In the middle of an episode: the agent is asked for a step."""
-    clock = Clock()
+    clock = Clock(1000.0)
     rig = Rig(HubConfig(heartbeat=1.0, timeout=5.0, time=LIMITS), clock)
     rig.fill()
     rig.ask(Kind.RL_INIT, 1, None)
@@ -200,7 +191,7 @@ def test_the_environment_has_all_the_time(timed: tuple[Rig, Clock]) -> None:
 
 
 def test_without_limits_nothing_is_measured() -> None:
-    clock = Clock()
+    clock = Clock(1000.0)
     rig = Rig(clock=clock)
     rig.fill()
     rig.ask(Kind.RL_INIT, 1, None)

@@ -23,6 +23,22 @@ def folder(tmp_path: Path) -> KeyFolder:
     return KeyFolder(tmp_path)
 
 
+@pytest.fixture
+def carols(folder: KeyFolder) -> KeyFolder:
+    """A directory that admits one key."""
+    folder.entrant("carol")
+    folder.allow('[carol]\nrole = "agent"')
+    assert len(read_keys(folder.path).permits) == 1
+    return folder
+
+
+def refused(folder: KeyFolder, why: str) -> ConfigError:
+    """Expect that the keys cannot be read for this reason."""
+    with pytest.raises(ConfigError, match=why) as raised:
+        read_keys(folder.path)
+    return raised.value
+
+
 def test_a_list_says_who_may_join_as_what(folder: KeyFolder) -> None:
     carol, dave, erin = (read_pair(folder.entrant(name)).public for name in ("carol", "dave", "erin"))
     (folder.path / "dave.key").rename(folder.path / "dave.pub")
@@ -68,15 +84,42 @@ def test_what_a_key_may_be_is_never_read_from_the_file_that_its_owner_sent(folde
         ('[carol]\nrole = "agent"\nkey = 1', "key should be"),
         ('[carol]\nrole = "agent"\nkey = "nowhere.pub"', "neither a file nor a key"),
         ('[nobody]\nrole = "agent"', r"has no key: put the file that its owner sent there, as .*nobody\.key"),
+        ('["a\\u0000b"]\nrole = "agent"', r"\[a.b\] has no key"),
         ('[carol]\nrole = "agent"\n[c]\nkey = "carol.key"\nrole = "agent"', "carol and c have the same key"),
     ],
 )
 def test_a_mistake_in_the_list_names_file_and_table(folder: KeyFolder, text: str, what: str) -> None:
     folder.entrant("carol")
     folder.allow(text)
-    with pytest.raises(ConfigError, match=what) as raised:
+    assert str(folder.path / "allow.toml") in str(refused(folder, what))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'["{"x" * 300}"]\nrole = "agent"',
+        f"[carol]\nrole = {'[' * 5000}{']' * 5000}",
+        f"[carol]\nrole{'.a' * 5000} = 1",
+    ],
+    ids=["name", "arrays", "keys"],
+)
+def test_a_list_beyond_all_measure_is_refused_in_a_line(folder: KeyFolder, text: str) -> None:
+    folder.entrant("carol")
+    folder.allow(text)
+    with pytest.raises(ConfigError, match=rf"^cannot read the keys in {folder.path}: \w+[\w ]*$"):
         read_keys(folder.path)
-    assert str(folder.path / "allow.toml") in str(raised.value)
+
+
+def test_a_list_that_is_no_file_is_refused(folder: KeyFolder) -> None:
+    listed = folder.path / "allow.toml"
+    listed.unlink()
+    os.mkfifo(listed)
+    with pytest.raises(ConfigError, match="no regular file"):
+        read_keys(folder.path)
+    listed.unlink()
+    listed.symlink_to(listed)
+    with pytest.raises(ConfigError, match="symbolic links lead to it"):
+        read_keys(folder.path)
 
 
 def test_a_directory_that_is_not_ready_is_refused_with_the_next_step(folder: KeyFolder) -> None:
@@ -84,33 +127,24 @@ def test_a_directory_that_is_not_ready_is_refused_with_the_next_step(folder: Key
         read_keys(Path("nowhere"))
     assert caught.value.settings == ("keys",)
     folder.path.chmod(0o777)
-    with pytest.raises(ConfigError, match=f"chmod go-w {folder.path}"):
-        read_keys(folder.path)
+    refused(folder, f"chmod go-w {folder.path}")
     folder.path.chmod(0o755)
     (folder.path / "allow.toml").unlink()
-    with pytest.raises(ConfigError, match=r"there is no .*allow\.toml"):
-        read_keys(folder.path)
+    refused(folder, r"there is no .*allow\.toml")
     (folder.path / "allow.toml").write_bytes(b"\xff")
-    with pytest.raises(ConfigError, match="is not UTF-8"):
-        read_keys(folder.path)
+    refused(folder, "is not UTF-8")
     (folder.path / "allow.toml").write_bytes(bytes(2**20 + 1))
-    with pytest.raises(ConfigError, match="it has more than"):
-        read_keys(folder.path)
+    refused(folder, "it has more than")
     (folder.path / "hub.key_secret").chmod(0o644)
-    with pytest.raises(ConfigError, match="chmod 600"):
-        read_keys(folder.path)
+    refused(folder, "chmod 600")
 
 
 @pytest.mark.parametrize("name", [".", "allow.toml", "carol.key", "hub.key_secret"])
 @pytest.mark.parametrize("mode", [0o020, 0o002])
-def test_files_that_others_can_change_are_refused(folder: KeyFolder, name: str, mode: int) -> None:
-    folder.entrant("carol")
-    folder.allow('[carol]\nrole = "agent"')
-    assert len(read_keys(folder.path).permits) == 1
-    path = folder.path / name
+def test_files_that_others_can_change_are_refused(carols: KeyFolder, name: str, mode: int) -> None:
+    path = carols.path / name
     path.chmod(path.stat().st_mode | mode)
-    with pytest.raises(ConfigError, match="chmod"):
-        read_keys(folder.path)
+    refused(carols, "chmod")
 
 
 @pytest.mark.parametrize("depth", [0, 1, 2])
@@ -122,37 +156,30 @@ def test_a_key_is_refused_below_a_folder_that_others_can_change(folder: KeyFolde
     folder.allow('[carol]\nrole = "agent"\nkey = "a/b/c/carol.key"')
     assert len(read_keys(folder.path).permits) == 1
     inner.parents[depth].chmod(0o777)
-    with pytest.raises(ConfigError, match=f"exchange {inner.parents[depth]}: chmod go-w"):
-        read_keys(folder.path)
+    refused(folder, f"exchange {inner.parents[depth]}: chmod go-w")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give a file away")
 @pytest.mark.parametrize("name", [".", "allow.toml", "carol.key", "hub.key_secret"])
-def test_files_of_another_user_are_refused(folder: KeyFolder, name: str) -> None:
-    folder.entrant("carol")
-    folder.allow('[carol]\nrole = "agent"')
-    os.chown(folder.path / name, NOBODY, NOBODY)
-    with pytest.raises(ConfigError, match=f"belongs to another user .*{NOBODY}"):
-        read_keys(folder.path)
+def test_files_of_another_user_are_refused(carols: KeyFolder, name: str) -> None:
+    os.chown(carols.path / name, NOBODY, NOBODY)
+    refused(carols, f"belongs to another user .*{NOBODY}")
 
 
 @pytest.mark.parametrize("spoilt", ["folder of the link", "folder of the target", "target"])
 @pytest.mark.parametrize("name", [".", "allow.toml", "carol.key", "hub.key_secret"])
 def test_symbolic_links_lead_only_to_files_that_others_cannot_exchange(
-    folder: KeyFolder, tmp_path: Path, name: str, spoilt: str
+    carols: KeyFolder, tmp_path: Path, name: str, spoilt: str
 ) -> None:
-    folder.entrant("carol")
-    folder.allow('[carol]\nrole = "agent"')
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    link, target = folder.path / name, elsewhere / "target"
+    link, target = carols.path / name, elsewhere / "target"
     link.rename(target)
     link.symlink_to("../elsewhere/target" if name != "." else "elsewhere/target")
-    assert len(read_keys(folder.path).permits) == 1
+    assert len(read_keys(carols.path).permits) == 1
     path = {"folder of the link": link.parent, "folder of the target": elsewhere, "target": target}[spoilt]
     path.chmod(path.stat().st_mode | 0o020)
-    with pytest.raises(ConfigError, match="chmod"):
-        read_keys(folder.path)
+    refused(carols, "chmod")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give a link away")
@@ -161,13 +188,11 @@ def test_a_symbolic_link_of_another_user_is_refused(folder: KeyFolder) -> None:
     link.rename(folder.path / "list")
     link.symlink_to("list")
     os.chown(link, NOBODY, NOBODY, follow_symlinks=False)
-    with pytest.raises(ConfigError, match=f"belongs to another user .*{NOBODY}"):
-        read_keys(folder.path)
+    refused(folder, f"belongs to another user .*{NOBODY}")
 
 
 def test_a_pair_that_does_not_belong_together_is_refused(folder: KeyFolder) -> None:
     secret = folder.path / "hub.key_secret"
     wrong = encode(read_public(folder.entrant("carol")))
     secret.write_text(secret.read_text().replace(encode(read_public(secret)), wrong))
-    with pytest.raises(ConfigError, match="its two keys do not belong together"):
-        read_keys(folder.path)
+    refused(folder, "its two keys do not belong together")

@@ -17,23 +17,19 @@ import pytest
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.legacy import bodies
 from glue.legacy.codec import (
-    FROM_AGENT,
-    FROM_ENVIRONMENT,
-    FROM_EXPERIMENT,
-    TO_AGENT,
-    TO_ENVIRONMENT,
-    TO_EXPERIMENT,
+    FROM,
+    TO,
     Decoder,
     Frame,
     Layout,
     Vocabulary,
     encode,
 )
-from glue.wire.messages import Body, Value
+from glue.wire.messages import Body, Role, Value
 from tests.glue.legacy.conversations import REWARDS, TYPES, conversation
 from tests.proof import size
 
-VOCABULARIES = (FROM_AGENT, FROM_ENVIRONMENT, FROM_EXPERIMENT, TO_AGENT, TO_ENVIRONMENT, TO_EXPERIMENT)
+VOCABULARIES = (*FROM.values(), *TO.values())
 
 pytestmark = pytest.mark.proof
 
@@ -63,7 +59,7 @@ def reading(
 ) -> list[str]:
     """Return the events of a decoder, up to the first error, and the number of bytes left in it."""
     decoder = Decoder(vocabulary, max_body)
-    answers = shortcut and vocabulary in (FROM_AGENT, FROM_ENVIRONMENT)
+    answers = shortcut and vocabulary in (FROM[Role.AGENT], FROM[Role.ENVIRONMENT])
     kinds = [layout.kind for layout in vocabulary.values()] if answers else []
     found: list[str] = []
     for piece in pieces:

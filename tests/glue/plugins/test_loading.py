@@ -53,9 +53,7 @@ def test_file_may_import_what_is_beside_it(folder: Path) -> None:
     assert find(Role.AGENT, "elsewhere/mine.py:Mine").__name__ == "Mine"
 
 
-def test_files_of_two_folders_have_each_their_own_modules_of_one_name_and_all_are_recorded(
-    folder: Path,
-) -> None:
+def test_files_of_two_folders_have_their_own_modules_of_one_name_and_all_are_recorded(folder: Path) -> None:
     for who in ("alice", "bob"):
         write(folder, f"{who}/policy.py", f"NAME = {who!r}")
         write(folder, f"{who}/parts/part.py", f"NAME = {who!r}")
@@ -105,6 +103,7 @@ def test_summaries_are_docstrings_read_without_an_import() -> None:
         ("mine:Mime", "mine has no class 'Mime'; did you mean Mine?"),
         ("mine.py:Mime", "mine.py has no class 'Mime'; did you mean Mine?"),
         ("mine.py:number", "mine.py has no class 'number'"),
+        *((name, "gymnasium:NAME") for name in ("gymnasium", "gymnasium:")),
     ],
 )
 def test_name_of_nothing_is_an_error_that_says_so(folder: Path, name: str, error: str) -> None:
@@ -143,12 +142,6 @@ def test_syntax_error_is_shown_with_its_line_and_a_caret(folder: Path) -> None:
     shown = str(raised.value)
     assert "broken.py" in shown
     assert "line 2\n    class Mine(:\n               ^\nSyntaxError" in shown
-
-
-def test_an_adapter_without_a_name_is_told_how_to_write_one() -> None:
-    for name in ("gymnasium", "gymnasium:"):
-        with pytest.raises(ConfigError, match="gymnasium:NAME"):
-            find(Role.ENVIRONMENT, name)
 
 
 def test_module_that_says_what_it_needs_is_quoted_alone(folder: Path) -> None:

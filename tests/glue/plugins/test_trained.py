@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -49,13 +50,6 @@ def test_trained_agent_offers_what_the_agent_does() -> None:
         assert name_of(trained) == name_of(agent), "messages name what a person started"
 
 
-def test_agent_that_cannot_load_and_file_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="object cannot load what was learned: it has no agent_load"):
-        load_trained(object(), tmp_path / "any.agent")
-    with pytest.raises(ConfigError, match=r"cannot read .*nothing\.agent: No such file"):
-        load_trained(SarsaAgent(), tmp_path / "nothing.agent")
-
-
 def test_file_of_more_than_a_gibibyte_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "huge.agent").open("wb") as huge:
         huge.truncate(2**30 + 1)  # a sparse file
@@ -78,34 +72,16 @@ def test_loaded_agent_plays_from_the_command_line_as_it_had_learned(tmp_path: Pa
         for _ in range(3):
             glue.rl_episode(60)
             expected.append((glue.rl_return(), glue.rl_num_steps()))
-    status, shown, agent = experiment(tmp_path, "sarsa", "--load", "mines.agent", *GREEDY)
-    assert (status, agent.end()) == (0, 0)
-    *episodes, _ = map(json.loads, shown)
-    assert [(line["return"], line["steps"]) for line in episodes] == expected
-
-
-def test_file_of_another_agent_is_one_line_at_both_ends(tmp_path: Path) -> None:
-    (tmp_path / "other.agent").write_bytes(b"GLUE" + bytes(100))
-    status, _, agent = experiment(tmp_path, "sarsa", "--load", "other.agent")
-    assert (status, agent.end()) == (1, 1)
-    (error,) = [line for line in agent.lines if line.startswith("Error:")]
-    assert "104 bytes are not a save of agent sarsa" in error
-
-
-GREEDY = ("--no-learning", "--epsilon", "0")
-
-
-def experiment(cwd: Path, *agent: str) -> tuple[int, list[str], Terminal]:
-    """Let `glue-agent` play three episodes in the mines; return status, lines and the agent's terminal."""
-    hub = f"ipc://{cwd}/hub"
-    player = Terminal("glue-agent", *agent, "--hub", hub, cwd=cwd)
-    try:
+    hub = f"ipc://{tmp_path}/hub"
+    greedy = ("--no-learning", "--epsilon", "0")
+    with closing(
+        Terminal("glue-agent", "sarsa", "--load", "mines.agent", *greedy, "--hub", hub, cwd=tmp_path)
+    ) as agent:
         shown = run(
             *("glue-experiment", "--env", "mines", "--episodes", "3", "--max-steps", "60", "--json"),
             *("--bind", hub, "--out", "run"),
-            cwd=cwd,
+            cwd=tmp_path,
         )
-        player.end()
-    finally:
-        player.close()
-    return shown.returncode, shown.stdout.splitlines(), player
+        assert (shown.returncode, agent.end()) == (0, 0)
+    *episodes, _ = map(json.loads, shown.stdout.splitlines())
+    assert [(line["return"], line["steps"]) for line in episodes] == expected

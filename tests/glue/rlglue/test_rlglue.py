@@ -294,9 +294,7 @@ def test_players_of_rlglue_as_it_was_before_2025_play(here: Path, extra: bool) -
     assert agent._made.log == [("start", 0), (-1.5, 1), (-1.5, 2), ("end", -1.5)]
 
 
-def test_an_environment_of_the_codec_without_a_task_spec_states_none_or_that_of_its_option(
-    here: Path,
-) -> None:
+def test_an_environment_of_the_codec_without_a_task_spec_has_none_or_that_of_its_option(here: Path) -> None:
     (here / "silent.py").write_text(SILENT)
     silent = find(Role.ENVIRONMENT, "rlglue:silent.py:Silent")
     assert parse_task_spec(build(silent, {}).env_init()).actions.stated is False

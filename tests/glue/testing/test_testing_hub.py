@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Container
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,6 @@ from glue.conform.hubs.scripted import reward
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.channel import Channel
 from glue.hub.config import HubConfig
-from glue.hub.io.server import Hub
 from glue.hub.session import Peer
 from glue.hub.sessions import Sessions
 from glue.pace import Pace
@@ -25,20 +23,17 @@ from glue.testing import ContractBroken, HubRule, check_hub
 from glue.types import Action, has_beside
 from glue.wire.beside import readable
 from glue.wire.messages import CALLS, EXTRAS, MASK, ErrorCode, Event, Kind, Message, Role, Value
+from tests.hubs import hub_with
 
 WAIT = 60.0
 """Seconds to wait; generous, as machines are busy. Only hubs that say nothing use them up."""
 
 
-@contextmanager
-def hub(url: str = "tcp://127.0.0.1:*") -> Iterator[str]:
-    config = HubConfig(bind=(url,), heartbeat=0.05, timeout=0.3)
-    with Hub(config).in_background() as running:
-        yield running.endpoints[0]
+hub = partial(hub_with, heartbeat=0.05, timeout=0.3)
 
 
 def test_our_hub_keeps_every_rule_also_while_it_is_at_work(tmp_path: Path) -> None:
-    with hub(f"ipc://{tmp_path}/hub") as url, connect(url) as glue:
+    with hub(bind=f"ipc://{tmp_path}/hub") as url, connect(url) as glue:
         check_hub(url, wait=WAIT)
         assert glue.rl_num_episodes() == 0
 
@@ -53,104 +48,64 @@ def test_hub_that_is_not_there_is_no_hub() -> None:
 # Hubs that break one rule
 
 
+Seen = dict[Any, Any]
+Change = Callable[[Message, Seen], Message]
+"""A change of a message, by what the hub remembers of those before it."""
+
+
+def as_it_is(message: Message, seen: Seen) -> Message:
+    return message
+
+
 class Spoiled(Sessions):
     """Our sessions, with changes to outgoing and incoming messages."""
 
+    said: Change = staticmethod(as_it_is)
+    heard: Change = staticmethod(as_it_is)
+
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
-        self.seen: dict[Any, Any] = {}
+        self.seen: Seen = {}
 
     def send(self, channel: Channel, message: Message) -> bool:
-        arrived = [to.deliver(sent) for to, sent in self.out(channel, message)]
-        return all(arrived)
+        return channel.deliver(self.said(message, self.seen))
 
     def deliver(self, peer: Peer, message: Message) -> None:
         self.send(peer.channel, message)
 
     def receive(self, channel: Channel, message: Message, now: float) -> bool:
-        in_turn = [
-            super(Spoiled, self).receive(channel, heard, now) for heard in self.heard(channel, message)
-        ]
-        return all(in_turn)
-
-    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
-        return [(channel, message)]
-
-    def heard(self, channel: Channel, message: Message) -> list[Message]:
-        return [message]
-
-
-class ShowsTheAgentExtras(Spoiled):
-    """Gives the agent the environment's last observation, without its mask."""
-
-    kept = frozenset({EXTRAS})
-
-    def heard(self, channel: Channel, message: Message) -> list[Message]:
-        if message.kind is Kind.ENV_STEP:
-            self.seen["last"] = message.body
-        return [message]
-
-    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
-        if message.kind is Kind.AGENT_STEP and has_beside(self.seen.get("last", bytes(16))):
-            message = message._replace(body=readable(self.seen["last"], self.kept))
-        return [(channel, message)]
-
-
-class ShowsEveryAgentMasks(ShowsTheAgentExtras):
-    """Gives the agent the environment's last observation, without its extras."""
-
-    kept = frozenset({MASK})
+        return super().receive(channel, self.heard(message, self.seen), now)
 
 
 class LeavesOutWhatWasNotOffered(Spoiled):
     """Passes on the observations of an environment as if it had sent only what it has offered."""
 
-    def heard(self, channel: Channel, message: Message) -> list[Message]:
+    def receive(self, channel: Channel, message: Message, now: float) -> bool:
         offered = self.capabilities(message.session, Role.ENVIRONMENT)
         if message.kind is Kind.ENV_START and offered is not None:
             message = message._replace(body=readable(message.body, offered))
-        return [message]
+        return super().receive(channel, message, now)
 
 
 class NeverWelcomes(Spoiled):
-    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
-        return [] if message.kind is Kind.WELCOME else [(channel, message)]
+    def send(self, channel: Channel, message: Message) -> bool:
+        return message.kind is Kind.WELCOME or super().send(channel, message)
 
 
 class AsksTheAgentBeforeTheEnvironment(Spoiled):
-    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+    def send(self, channel: Channel, message: Message) -> bool:
         if message.kind is Kind.AGENT_INIT:
             self.seen[message.session] = channel
         if message.kind is Kind.ENV_START:
             early = message._replace(kind=Kind.AGENT_START, seq=message.seq + 1, body=Action().body)
-            return [(self.seen[message.session], early), (channel, message)]
-        return [] if message.kind is Kind.AGENT_START else [(channel, message)]
-
-
-class CountsBackwards(Spoiled):
-    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
-        return [(channel, self.heard(channel, message)[0])]
-
-    def heard(self, channel: Channel, message: Message) -> list[Message]:
-        called = message.kind in CALLS and CALLS[message.kind].callee is not None
-        return [message._replace(seq=1000 - message.seq) if called and message.seq < 1000 else message]
-
-
-class ReturnsTheLastReward(Spoiled):
-    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
-        if message.kind is Kind.RL_RETURN:
-            message = message._replace(scalars=(self.seen.get(message.session, 0.0),))
-        return [(channel, message)]
-
-    def heard(self, channel: Channel, message: Message) -> list[Message]:
-        if message.kind in (Kind.ENV_INIT, Kind.ENV_START, Kind.ENV_STEP):
-            self.seen[message.session] = (*message.scalars, 0.0)[0]
-        return [message]
+            super().send(self.seen[message.session], early)
+        return message.kind is Kind.AGENT_START or super().send(channel, message)
 
 
 class KnowsOneSessionOfAConnection(Spoiled):
-    def heard(self, channel: Channel, message: Message) -> list[Message]:
-        return [message._replace(session=self.seen.setdefault(channel, message.session))]
+    def receive(self, channel: Channel, message: Message, now: float) -> bool:
+        session = self.seen.setdefault(channel, message.session)
+        return super().receive(channel, message._replace(session=session), now)
 
 
 class DropsWhoSaysWhatIsUnknown(Spoiled):
@@ -161,20 +116,20 @@ class DropsWhoSaysWhatIsUnknown(Spoiled):
 class CountsAHelloForAnAnswer(Spoiled):
     """Counts an instance as known from its first HELLO until its goodbye."""
 
-    def heard(self, channel: Channel, message: Message) -> list[Message]:
+    def receive(self, channel: Channel, message: Message, now: float) -> bool:
         if message.kind is Kind.HELLO:
             self.seen[channel, message.session] = message.session, message.scalars[2]
         if message.kind is Kind.GOODBYE:
             self.seen.pop(self.seen.get((channel, message.session)), None)
-        return [message]
+        return super().receive(channel, message, now)
 
-    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
+    def send(self, channel: Channel, message: Message) -> bool:
         if message.kind is Kind.WELCOME:
             peer = self.seen[channel, message.session]
             version, resumed, *rest = message.scalars
             message = message._replace(scalars=(version, resumed or peer in self.seen, *rest))
             self.seen[peer] = True
-        return [(channel, message)]
+        return super().send(channel, message)
 
 
 class DoesNotWait(Spoiled):
@@ -206,46 +161,56 @@ class DoesNotWait(Spoiled):
             due()
 
 
-class ForgetsTheRewardsOfLateAgents(DoesNotWait):
-    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
-        if message.kind is Kind.AGENT_STEP and message.scalars[0] == reward(2) + reward(3):
-            message = message._replace(scalars=(reward(3), *message.scalars[1:]))
-        return [(channel, message)]
-
-
-class CountsNoLateActions(DoesNotWait):
-    def out(self, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
-        if message.kind is Kind.RL_NUM_STEPS and len(message.scalars) == 2:
-            message = message._replace(scalars=(message.scalars[0], 0))
-        return [(channel, message)]
-
-
 class WaitsForEver(Spoiled):
     def tick(self, now: float) -> None:
         super().tick(0.0)
 
 
-Seen = dict[Any, Any]
-Change = Callable[[Message, Seen], Message]
-"""A change of a message, by what the hub remembers of those before it."""
+def of_kinds(change: Change, kinds: Container[Kind]) -> Any:
+    return staticmethod(lambda m, seen: change(m, seen) if m.kind in kinds else m)
 
 
-def saying(change: Change, *kinds: Kind) -> type[Spoiled]:
+def saying(change: Change, *kinds: Kind, base: type[Spoiled] = Spoiled) -> type[Spoiled]:
     """Return a hub that changes its outgoing messages of some kinds."""
-
-    def out(hub: Spoiled, channel: Channel, message: Message) -> list[tuple[Channel, Message]]:
-        return [(channel, change(message, hub.seen) if message.kind in kinds else message)]
-
-    return type("Saying", (Spoiled,), {"out": out})
+    return type("Saying", (base,), {"said": of_kinds(change, kinds)})
 
 
 def hearing(change: Change, *kinds: Kind) -> type[Spoiled]:
     """Return a hub that changes incoming messages of some kinds."""
+    return type("Hearing", (Spoiled,), {"heard": of_kinds(change, kinds)})
 
-    def heard(hub: Spoiled, channel: Channel, message: Message) -> list[Message]:
-        return [change(message, hub.seen) if message.kind in kinds else message]
 
-    return type("Hearing", (Spoiled,), {"heard": heard})
+def remembers(message: Message, seen: Seen) -> Message:
+    """Remember what the environment of a session has answered last."""
+    seen[message.session] = message
+    return message
+
+
+Remembering = hearing(remembers, Kind.ENV_INIT, Kind.ENV_START, Kind.ENV_STEP)
+
+
+def last_reward(message: Message, seen: Seen) -> Message:
+    before = seen.get(message.session)
+    return message._replace(scalars=(before.scalars or (0.0,))[:1] if before else (0.0,))
+
+
+def last_observation(kept: str) -> Change:
+    """Return a change of a step into the environment's last observation, with its mask or its extras."""
+
+    def change(message: Message, seen: Seen) -> Message:
+        body = seen[message.session].body
+        return message._replace(body=readable(body, {kept})) if has_beside(body) else message
+
+    return change
+
+
+def backwards(message: Message, seen: Seen) -> Message:
+    called = message.kind in CALLS and CALLS[message.kind].callee is not None
+    return message._replace(seq=1000 - message.seq) if called and message.seq < 1000 else message
+
+
+class CountsBackwards(Spoiled):
+    said = heard = staticmethod(backwards)
 
 
 def the_body_before(message: Message, seen: Seen) -> Message:
@@ -290,6 +255,7 @@ def instead(kind: Kind, *values: Value) -> Change:
 
 
 FIRST_ACTION = Action([0]).body
+LATE = reward(2) + reward(3)
 
 BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
     "welcomes with its own number": (
@@ -306,15 +272,25 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
     "rounds rewards": (HubRule.CALLS, saying(first(lambda reward: float(round(reward))), Kind.AGENT_STEP)),
     "tells the outcome unasked": (HubRule.CALLS, saying(scalars(1, 0.0, 1, stop=1), Kind.RL_EPISODE)),
     "counts backwards": (HubRule.NUMBERS, CountsBackwards),
-    "returns the last reward": (HubRule.COUNTERS, ReturnsTheLastReward),
+    "returns the last reward": (HubRule.COUNTERS, saying(last_reward, Kind.RL_RETURN, base=Remembering)),
     "counts no start": (HubRule.COUNTERS, saying(first(lambda n: max(0, n - 1)), Kind.RL_NUM_STEPS)),
     "takes the limit for the end": (HubRule.CUTOFF, saying(scalars(0, True), Kind.RL_EPISODE)),
     "tells another outcome": (
         HubRule.OUTCOME,
         saying(lambda m, seen: scalars(2, 0)(m, seen) if m.scalars[1:] else m, Kind.RL_EPISODE),
     ),
-    "forgets the rewards of late agents": (HubRule.PACE, ForgetsTheRewardsOfLateAgents),
-    "counts no late actions": (HubRule.PACE, CountsNoLateActions),
+    "forgets the rewards of late agents": (
+        HubRule.PACE,
+        saying(first(lambda given: reward(3) if given == LATE else given), Kind.AGENT_STEP, base=DoesNotWait),
+    ),
+    "counts no late actions": (
+        HubRule.PACE,
+        saying(
+            lambda m, seen: scalars(1, 0)(m, seen) if m.scalars[1:] else m,
+            Kind.RL_NUM_STEPS,
+            base=DoesNotWait,
+        ),
+    ),
     "acts before any action": (
         HubRule.LAST_ACTION,
         saying(lambda m, seen: m._replace(body=FIRST_ACTION) if len(m.body) == 16 else m, Kind.ENV_STEP),
@@ -341,8 +317,14 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
     "counts a hello for an answer": (HubRule.WELCOME_LOST, CountsAHelloForAnAnswer),
     "sends off with an error": (HubRule.GOODBYE, saying(instead(Kind.ERROR, "full", ""), Kind.GOODBYE)),
     "does not say peer-lost": (HubRule.LOST, without(ErrorCode.PEER_LOST)),
-    "shows the agent extras": (HubRule.BESIDE, ShowsTheAgentExtras),
-    "shows every agent masks": (HubRule.BESIDE, ShowsEveryAgentMasks),
+    "shows the agent extras": (
+        HubRule.BESIDE,
+        saying(last_observation(EXTRAS), Kind.AGENT_STEP, base=Remembering),
+    ),
+    "shows every agent masks": (
+        HubRule.BESIDE,
+        saying(last_observation(MASK), Kind.AGENT_STEP, base=Remembering),
+    ),
     "keeps extras to itself": (
         HubRule.BESIDE,
         saying(lambda m, seen: m._replace(body=readable(m.body, {MASK})), Kind.RL_ENV_STEP),

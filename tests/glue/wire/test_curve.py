@@ -200,12 +200,6 @@ def test_an_unknown_key_is_told_400_and_refused() -> None:
     assert not decoder.ready
 
 
-def test_another_public_key_of_the_server_is_refused() -> None:
-    with pytest.raises(HandshakeRefused) as refused:
-        events(greeted(), command(CurveClient(CAROL, STRANGER.public).hello()))
-    assert refused.value.farewell == b"\x04\x0a\x05ERROR\x03400"
-
-
 Bent = Callable[[CurveClient], bytes]
 
 BENT: dict[str, Bent] = {

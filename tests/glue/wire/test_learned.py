@@ -39,6 +39,30 @@ _ENCRYPTED_COMMAND = 2
 PING = b"\x04PING\0\0context"
 
 
+def connected(
+    max_body: int, keyed: bool = False
+) -> tuple[Stream, Stream, CurveServer | None, CurveClient | None]:
+    """Return the hub's end and a peer's after their handshake, and the mechanism of each."""
+    server, client = None, None
+    if keyed:
+        server = CurveServer(SECRET, lambda client: True)
+        client = CurveClient(public_key(SECRET), SECRET, public_key(SECRET))
+    hub = Stream(zmtp.ROUTER, max_body + 4096, max_body, server)
+    peer = Stream(zmtp.DEALER, max_body + 4096, max_body, client)
+    greetings = (zmtp.CURVE_GREETING, zmtp.CURVE_CLIENT_GREETING) if keyed else (zmtp.GREETING,) * 2
+    sent = {id(peer): greetings[0], id(hub): greetings[1]}
+    while sent[id(hub)] or sent[id(peer)]:
+        for one, other in ((hub, peer), (peer, hub)):
+            data, sent[id(one)] = sent[id(one)], b""
+            one.receive_data(data)
+            while (event := one.next_event()) is not None:
+                assert isinstance(event, bytes)
+                sent[id(other)] += event
+    assert hub.ready
+    assert peer.ready
+    return hub, peer, server, client
+
+
 @dataclass
 class Line:
     """Both ends of a connection: the sender's encoding of frames, and the receiver.
@@ -52,23 +76,7 @@ class Line:
     keyed: bool
 
     def __post_init__(self) -> None:
-        server, client = None, None
-        if self.keyed:
-            server = CurveServer(SECRET, lambda client: True)
-            client = CurveClient(public_key(SECRET), SECRET, public_key(SECRET))
-        hub = Stream(zmtp.ROUTER, LARGEST + 4096, LARGEST, server)
-        peer = Stream(zmtp.DEALER, LARGEST + 4096, LARGEST, client)
-        greetings = (zmtp.CURVE_GREETING, zmtp.CURVE_CLIENT_GREETING) if self.keyed else (zmtp.GREETING,) * 2
-        sent = {id(peer): greetings[0], id(hub): greetings[1]}
-        while sent[id(hub)] or sent[id(peer)]:
-            for one, other in ((hub, peer), (peer, hub)):
-                data, sent[id(one)] = sent[id(one)], b""
-                one.receive_data(data)
-                while (event := one.next_event()) is not None:
-                    assert isinstance(event, bytes)
-                    sent[id(other)] += event
-        assert hub.ready
-        assert peer.ready
+        hub, peer, server, client = connected(LARGEST, self.keyed)
         self.receiver, self.sender = (peer, hub) if self.from_hub else (hub, peer)
         self.mechanism = server if self.from_hub else client
 

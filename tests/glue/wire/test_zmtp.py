@@ -52,9 +52,7 @@ def test_short_and_long_frames() -> None:
 
 
 @given(st.lists(frames, max_size=4), st.lists(st.integers(1, 2**17), max_size=40))
-def test_messages_come_out_as_they_went_in_however_they_are_cut(
-    messages: list[list[bytes]], cuts: list[int]
-) -> None:
+def test_messages_come_out_as_they_went_in_however_cut(messages: list[list[bytes]], cuts: list[int]) -> None:
     decoder = Decoder(ROUTER, MAX_FRAME)
     data = GREETING + READY + b"".join(map(encode, messages))
     found = []
@@ -63,11 +61,6 @@ def test_messages_come_out_as_they_went_in_however_they_are_cut(
         data = data[size:]
     assert found == [ANSWER, *messages]
     assert decoder.buffered == 0
-
-
-def test_a_ping_is_answered_with_its_context() -> None:
-    decoder = greeted()
-    assert events(decoder, b"\x04\x0a\x04PING\x00\x10abc") == [b"\x04\x08\x04PONGabc"]
 
 
 def test_a_context_that_is_too_long_is_cut_to_16_bytes() -> None:
@@ -106,21 +99,6 @@ def test_of_what_comes_to_nothing_a_little_is_taken_at_once(frame: bytes) -> Non
     decoder.receive_data(frame * 10_000)
     assert decoder.next_event() == b""
     assert decoder.buffered > 19_000
-
-
-@pytest.mark.parametrize(
-    "said",
-    [
-        GREETING + b"\x04\x0c\x05ERROR\x05\x1b[2J\n",
-        GREETING + READY.replace(b"DEALER", b"\x1b[2J\n!"),
-        GREETING.replace(b"NULL", b"\x1b[2J"),
-    ],
-    ids=["an error", "a socket", "a mechanism"],
-)
-def test_what_is_wrong_is_said_in_printable_characters(said: bytes) -> None:
-    with pytest.raises(RemoteProtocolError) as raised:
-        events(Decoder(ROUTER, MAX_FRAME), said)
-    assert str(raised.value).isprintable()
 
 
 def test_bytes_that_come_in_little_pieces_take_little_more_room_than_at_once() -> None:
@@ -163,13 +141,16 @@ def test_what_was_said_is_not_kept() -> None:
     ("data", "reason"),
     [
         (GREETING[:10] + b"\2" + GREETING[11:], "ZMTP before 3"),
-        (GREETING[:12] + b"CURVE".ljust(20, b"\0") + GREETING[32:], "b'CURVE'; only NULL"),
+        (GREETING.replace(b"NULL", b"\x1b[2J"), r"b'\\x1b\[2J'; only NULL"),
         (GREETING + encode([b"early"]), "before READY"),
         (GREETING + b"\x04\x06\x05READY", "does not say what socket"),
         (GREETING + b"\x04\x08\x05READY\x0bS", "does not say what socket"),
         (GREETING + b"\x04\x0c\x05READY\x01x\xff\xff\xff\xfa", "does not say what socket"),
-        (GREETING + READY.replace(b"DEALER", b"SUB..."), "a socket of type b'SUB...', not DEALER"),
-        (GREETING + b"\x04\x0a\x05ERROR\x03why", "ended the handshake: b'why'"),
+        (
+            GREETING + READY.replace(b"DEALER", b"\x1b[2J\n!"),
+            r"socket of type b'\\x1b\[2J\\n!', not DEALER",
+        ),
+        (GREETING + b"\x04\x0c\x05ERROR\x05\x1b[2J\n", r"ended the handshake: b'\\x1b\[2J\\n'"),
     ],
     ids=[
         *("version", "mechanism", "message before READY", "no socket type", "cut property"),
@@ -178,5 +159,6 @@ def test_what_was_said_is_not_kept() -> None:
 )
 def test_a_handshake_that_cannot_be_completed_is_refused_with_its_reason(data: bytes, reason: str) -> None:
     decoder = Decoder(ROUTER, MAX_FRAME)
-    with pytest.raises(RemoteProtocolError, match=reason):
+    with pytest.raises(RemoteProtocolError, match=reason) as raised:
         events(decoder, data)
+    assert str(raised.value).isprintable()

@@ -7,26 +7,13 @@ import sys
 from pathlib import Path
 
 from glue.types import Action
-from tests.jails.hostile.honest import Honest, play
-
-_FOLDERS = (
-    "/tmp",
-    "/dev/shm",
-    "/var/tmp",
-    "/run",
-    "/run/glue",
-    "/home/glue",
-    "/dev",
-    "/dev/mqueue",
-    "/proc",
-    ".",
-)
+from tests.jails.hostile.honest import FOLDERS, Honest, play
 
 
 class Fills(Honest):
     def act(self) -> Action:
         if self.steps == 20:
-            for folder in _FOLDERS:
+            for folder in (*FOLDERS, "/dev", "/proc"):
                 print(f"{folder}: {fill(Path(folder))}")
             os._exit(4)
         return super().act()

@@ -8,6 +8,9 @@ from glue import serve_agent
 from glue.roles import Agent
 from glue.types import Action, Observation
 
+FOLDERS = ("/tmp", "/dev/shm", "/dev/mqueue", "/var/tmp", "/run", "/run/glue", "/home/glue", ".")
+"""Where a program may try to write."""
+
 
 class Honest(Agent):
     """Walks among the mines, keeping each direction for three steps."""

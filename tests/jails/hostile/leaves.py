@@ -7,20 +7,19 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from tests.jails.hostile.honest import Honest, play
+from tests.jails.hostile.honest import FOLDERS, Honest, play
 
-_FOLDERS = ("/tmp", "/dev/shm", "/dev/mqueue", "/var/tmp", "/run", "/run/glue", "/home/glue", ".")
 _NAME = "from-the-process-before"
 
 if __name__ == "__main__":
-    found = [folder for folder in _FOLDERS if Path(folder, _NAME).exists()]
+    found = [folder for folder in FOLDERS if Path(folder, _NAME).exists()]
     found += [
         str(other) for other in Path("/proc").glob("[0-9]*") if _NAME in (other / "cmdline").read_text()
     ]
     if found:
         print(f"found in {', '.join(found)}")
         sys.exit(7)
-    for folder in _FOLDERS:
+    for folder in FOLDERS:
         with suppress(OSError):
             Path(folder, _NAME).write_text("hello")
             print(f"left in {folder}")

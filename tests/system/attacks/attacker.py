@@ -14,7 +14,7 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
@@ -43,10 +43,18 @@ def _frames(kind: Kind, session: str, seq: int, *scalars: Any, body: bytes = b""
     return encode(Message(kind, session, seq, scalars, body), TO_HUB)
 
 
+def client_of(keys: Sequence[str]) -> CurveClient | None:
+    """Return a peer's side of the encryption with three keys, see above; None without any."""
+    if not keys:
+        return None
+    public, secret, server = map(bytes.fromhex, keys)
+    return CurveClient(Pair(public, secret), server)
+
+
 class Attacker:
     """Attacks over one connection after another."""
 
-    def __init__(self, url: str, seed: str, keys: tuple[bytes, ...]) -> None:
+    def __init__(self, url: str, seed: str, keys: Sequence[str]) -> None:
         self._url = url
         self._keys = keys
         self._random = random.Random(seed)
@@ -59,11 +67,7 @@ class Attacker:
                 self._random.choice(_MOVES)(self)
 
     def _peer(self) -> ScriptedPeer:
-        keys = None
-        if self._keys:
-            public, secret, server = self._keys
-            keys = CurveClient(Pair(public, secret), server)
-        return ScriptedPeer(self._url, keys, timeout=_SECONDS)
+        return ScriptedPeer(self._url, client_of(self._keys), timeout=_SECONDS)
 
     def _connect(self) -> ScriptedPeer:
         return self._abort(self._peer().connect())
@@ -193,16 +197,8 @@ class Attacker:
 
 
 _MOVES: Final[tuple[Callable[[Attacker], None], ...]] = (
-    Attacker.noise,
-    Attacker.reconnect,
-    Attacker.slow,
-    Attacker.malformed,
-    Attacker.pose,
-    Attacker.handshake,
-    Attacker.half,
-    Attacker.oversized,
-    Attacker.endless,
-    Attacker.flood,
+    *(Attacker.noise, Attacker.reconnect, Attacker.slow, Attacker.malformed, Attacker.pose),
+    *(Attacker.handshake, Attacker.half, Attacker.oversized, Attacker.endless, Attacker.flood),
     Attacker.observe,
 )
 
@@ -210,7 +206,7 @@ _MOVES: Final[tuple[Callable[[Attacker], None], ...]] = (
 def _main(url: str, seed: str, seconds: str, *keys: str) -> None:
     os.nice(19)  # only the cost to the hub counts, not the cost to the processor
     until = time.monotonic() + float(seconds)
-    attackers = [Attacker(url, f"{seed}-{i}", tuple(map(bytes.fromhex, keys))) for i in range(_AT_ONCE)]
+    attackers = [Attacker(url, f"{seed}-{i}", keys) for i in range(_AT_ONCE)]
     threads = [threading.Thread(target=attacker.attack, args=(until,)) for attacker in attackers]
     for thread in threads:
         thread.start()

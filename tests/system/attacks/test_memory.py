@@ -14,9 +14,9 @@ import pytest
 from glue.types import Observation
 from glue.wire.codec import FROM_HUB, decode
 from glue.wire.messages import CALLS, MAX_BODY, Kind, Message
-from tests.scripted.curve import CurveClient, Pair
 from tests.scripted.peer import ScriptedPeer
 from tests.system.attacks import siege
+from tests.system.attacks.attacker import client_of
 from tests.system.attacks.siege import make_keys
 from tests.system.attacks.victim import Victim, victim
 
@@ -34,16 +34,13 @@ class Attack:
     def __init__(self, url: str, stack: ExitStack, size: int, keys: tuple[str, ...]) -> None:
         self._url = url
         self._stack = stack
-        self._keys = [bytes.fromhex(key) for key in keys]
+        self._keys = keys
         self.huge = Observation(chars=bytes(size - 16)).body
 
     def peer(self, role: str, *sessions: str, reads: bool = True) -> Peer:
         """Let a peer join sessions."""
-        keys = None
-        if self._keys:
-            public, secret, server = self._keys
-            keys = CurveClient(Pair(public, secret), server)
-        peer = self._stack.enter_context(Peer(self._url, keys, receive_buffer=0 if reads else 4096))
+        buffer = 0 if reads else 4096
+        peer = self._stack.enter_context(Peer(self._url, client_of(self._keys), receive_buffer=buffer))
         peer.greet()
         peer.session = sessions[0]
         for session in sessions:

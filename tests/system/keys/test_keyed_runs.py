@@ -17,7 +17,6 @@ import pytest
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
 from glue import make, make_agent
-from glue.client.experiment import connect
 from glue.client.players import serve_agent, serve_environment
 from glue.errors import GlueError
 from tests import forked
@@ -87,59 +86,6 @@ def test_a_hub_takes_no_list_that_others_can_write(tmp_path: Path) -> None:
         (tmp_path / "list").chmod(0o644)
         hub.send_signal(signal.SIGHUP)
         hub.wait_for("read again: 1 key may join")
-
-
-def spoiled(keys: KeyFolder) -> Iterator[str]:
-    """Spoil a directory of keys in one way after another; yield a name of each."""
-    listed, aside = keys.path / "allow.toml", keys.path.with_name("aside")
-    good = listed.read_text()
-    for name, text in {
-        "not TOML": "[agent",
-        "a long name": f'["{"x" * 300}"]\nrole = "agent"\n',
-        "a name with a zero byte": '["a\\u0000b"]\nrole = "agent"\n',
-        "deep arrays": f"[carol]\nrole = {'[' * 5000}{']' * 5000}\n",
-        "deep keys": f"[carol]\nrole{'.a' * 5000} = 1\n",
-        "too long": f"{good}# {'x' * 2**20}\n",
-    }.items():
-        listed.write_text(text)
-        yield name
-    listed.unlink()
-    yield "no list"
-    os.mkfifo(listed)
-    yield "a FIFO"
-    listed.unlink()
-    listed.symlink_to(listed)
-    yield "a link to itself"
-    listed.unlink()
-    listed.write_text(good)
-    keys.path.rename(aside)
-    keys.path.write_text("")
-    yield "a file in place of the directory"
-    keys.path.unlink()
-    aside.rename(keys.path)
-
-
-@pytest.mark.stage("keys")
-def test_keys_that_cannot_be_read_cost_one_line_and_change_nothing(tmp_path: Path) -> None:
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    keys = KeyFolder(folder)
-    carol = keys.entrant("carol")
-    keys.allow('[carol]\nrole = "experiment"\n')
-    with keyed_hub(keys) as (hub, url), connect(url, "s", key=carol, hub_key=keys.hub_key) as glue:
-        glue.rl_num_episodes()
-        for number, name in enumerate(spoiled(keys), 1):
-            options = ("--bind", "tcp://127.0.0.1:*", "--keys", str(keys.path))
-            refused = forked.run("glue-hub", *options, cwd=tmp_path, timeout=TIMEOUT)
-            assert (refused.returncode, "Traceback" in refused.stderr) == (2, False), (name, refused.stderr)
-            hub.send_signal(signal.SIGHUP)
-            wait_until(lambda: "\n".join(hub.lines).count("stay as they were") == number, name)  # noqa: B023
-            assert glue.rl_num_episodes() == 0
-        before = len(hub.lines)
-        hub.send_signal(signal.SIGHUP)
-        hub.wait_for("read again: 1 key may join")
-        assert len(hub.lines) == before + 1
-        assert "Traceback" not in "\n".join(hub.lines)
 
 
 @contextmanager

@@ -11,7 +11,6 @@ from __future__ import annotations
 import select
 import socket
 import struct
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -72,7 +71,6 @@ class Style:
         utf16_counts: counts a text in UTF-16 units although it sends UTF-8.
         farewell: answer to the server's last message: "echo", "repeat" or "nothing".
         byte_at_a_time: sends every byte separately.
-        retry: seconds between two attempts to connect; C and Python programs wait for two seconds.
     """
 
     split: bool = False
@@ -81,12 +79,11 @@ class Style:
     utf16_counts: bool = False
     farewell: str = "echo"
     byte_at_a_time: bool = False
-    retry: float = 0.02
 
 
 STYLES = {
     "c": Style(split=True),
-    "java": Style(nodelay=False, greedy=True, utf16_counts=True, farewell="repeat", retry=0.0003),
+    "java": Style(nodelay=False, greedy=True, utf16_counts=True, farewell="repeat"),
     "python": Style(farewell="repeat"),
     "lisp": Style(farewell="nothing"),
     "drip": Style(byte_at_a_time=True),
@@ -125,26 +122,13 @@ class Closed(Exception):
 
 
 class Connection:
-    """One TCP connection to the server, in the style of one codec.
+    """One TCP connection to the server, in the style of one codec; waits `timeout` seconds for each frame."""
 
-    Tries to connect for `TIMEOUT` seconds, and waits `timeout` seconds for each frame.
-    """
-
-    def __init__(
-        self, port: int, style: Style = STYLES["c"], host: str = "127.0.0.1", timeout: float = TIMEOUT
-    ) -> None:
+    def __init__(self, port: int, style: Style = STYLES["c"], timeout: float = TIMEOUT) -> None:
         self.style = style
         self._received = b""
         self._last_sent = b""
-        deadline = time.monotonic() + TIMEOUT
-        while True:
-            try:
-                self._socket = socket.create_connection((host, port), timeout)
-                break
-            except ConnectionRefusedError:
-                if time.monotonic() > deadline:
-                    raise
-                time.sleep(style.retry)
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, style.nodelay)
 
     def send(self, message_id: int, payload: bytes = b"") -> None:
@@ -343,8 +327,3 @@ class OriginalExperiment(Experiment):
         if shown and asked not in (Id.RL_ENV_START, Id.RL_ENV_STEP):
             shown[-1] = as_action(shown[-1])
         return values, shown if len(shown) > 1 else shown[0] if shown else None
-
-
-def probe(port: int, host: str = "127.0.0.1") -> None:
-    """Connect and close at once, as a port scanner or a health check does."""
-    socket.create_connection((host, port), TIMEOUT).close()

@@ -22,14 +22,7 @@ from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPeer, LegacyPlayer
 from glue.roles import Agent, Environment
 from glue.wire.messages import MAX_BODY, Message
-from tests.system.legacy.legacy_client import (
-    STYLES,
-    TIMEOUT,
-    Connection,
-    OriginalExperiment,
-    Style,
-    play,
-)
+from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, OriginalExperiment, Style, play
 from tests.system.runs import wait_until
 
 C = STYLES["c"]
@@ -140,10 +133,7 @@ class Rig:
 
 @contextmanager
 def gateway(
-    *sessions: str,
-    timeout: float = 60.0,
-    max_body: int = MAX_BODY,
-    max_memory: int = 2**30,
+    *sessions: str, timeout: float = 60.0, max_body: int = MAX_BODY, max_memory: int = 2**30
 ) -> Iterator[Rig]:
     """Run a hub with a port for each session, or for `default`; all programs must end with the hub.
 

@@ -18,13 +18,7 @@ from glue import load_run
 from glue.hub.config import LegacyPort
 from tests.players import ScriptedAgent
 from tests.system.conformance import SCENARIOS
-from tests.system.legacy.legacy_client import (
-    STYLES,
-    TIMEOUT,
-    Connection,
-    OriginalExperiment,
-    play,
-)
+from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, OriginalExperiment, play
 from tests.terminal import Terminal
 
 BIND = ("--bind", "tcp://127.0.0.1:*")

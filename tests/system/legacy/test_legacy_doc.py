@@ -17,8 +17,6 @@ from glue.legacy.experiment import READ_AHEAD
 from glue.roles import Agent
 from glue.types import Action, Observation
 from tests.pages import DOCS, section
-from tests.players import ScriptedEnvironment
-from tests.system.conformance import MirrorAgent
 from tests.system.legacy.legacy_client import STYLES, Connection, Id, play
 from tests.system.legacy.legacy_rig import gateway
 from tests.terminal import Terminal
@@ -60,7 +58,7 @@ def test_the_refused_ids_are_none_of_ours() -> None:
         first, _, last = part.strip().partition("-")
         refused |= set(range(int(first), int(last or first) + 1))
     assert refused == codec._KINDS_OF_2
-    spoken = (codec.HANDSHAKE, codec.FROM_AGENT, codec.FROM_ENVIRONMENT, codec.FROM_EXPERIMENT)
+    spoken = (codec.HANDSHAKE, *codec.FROM.values())
     assert not refused & {int(kind) for vocabulary in spoken for kind in vocabulary}
 
 
@@ -119,16 +117,3 @@ def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
         port = int(experiment.wait_for(r"programs .*on 127\.0\.0\.1:(\d+)")[1])
         play(Runner(), Connection(port, STYLES["c"]))
         assert experiment.end() == 0
-
-
-def test_an_original_experiment_and_environment_are_shown_no_terminal_after_a_truncation() -> None:
-    environment = ScriptedEnvironment(length=5)
-    with gateway() as rig:
-        rig.originals(MirrorAgent())
-        rig.originals(environment)
-        glue = rig.experiment()
-        glue.rl_init()
-        for _ in range(2):
-            assert (glue.rl_episode(3), glue.rl_num_steps()) == (0, 3)
-        glue.close()
-    assert [call.split()[0] for call in environment.calls[1:]] == ["env_start", "env_step", "env_step"] * 2

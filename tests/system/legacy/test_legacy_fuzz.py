@@ -10,7 +10,7 @@ from random import Random
 
 import pytest
 
-from glue.legacy.codec import FROM_AGENT, FROM_ENVIRONMENT, FROM_EXPERIMENT, HANDSHAKE
+from glue.legacy.codec import FROM, HANDSHAKE
 from glue.types import Action
 from tests.glue.legacy.conversations import conversation
 from tests.proof import size
@@ -136,7 +136,7 @@ SCENES: dict[str, Scene] = {
 @pytest.mark.proof
 @pytest.mark.parametrize("scene", SCENES)
 def test_any_bytes_leave_the_hub_and_other_sessions_unharmed(arena: Arena, scene: str) -> None:
-    spoken = (HANDSHAKE, FROM_AGENT, FROM_ENVIRONMENT, FROM_EXPERIMENT)
+    spoken = (HANDSHAKE, *FROM.values())
     # An experiment whose data ends may be owed replies, and stays until the hub's timeout.
     may_be_owed = scene.startswith(("experiment", "without"))
     ends = ["", "reset"] if may_be_owed else ["", "reset", "close", "close_writing"]

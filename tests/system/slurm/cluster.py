@@ -6,14 +6,15 @@ import os
 import shutil
 import socket
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
 import pytest
+
+from tests.system.runs import wait_until
 
 _PROGRAMS: Final = ("munged", "slurmctld", "slurmd", "sbatch")
 
@@ -46,19 +47,11 @@ def slurm_cluster() -> Iterator[Path]:
         munge = ["munged", "--foreground", "--force", f"--key-file={key}", f"--socket={folder}/munge"]
         munge += [f"--{name}-file={folder}/munge.{name}" for name in ("pid", "log", "seed")]
         _start(stack, munge)
-        wait_for((folder / "munge").exists)
+        wait_until((folder / "munge").exists, "munged")
         _start(stack, ["slurmctld", "-D"])
         _start(stack, ["slurmd", "-D", "-N", "localhost"])
-        wait_for(lambda: "idle" in _output("sinfo", "--noheader"))
+        wait_until(lambda: "idle" in _output("sinfo", "--noheader"), "a node")
         yield folder
-
-
-def wait_for(ready: Callable[[], object], seconds: float = 60) -> None:
-    """Wait until something is true."""
-    end = time.monotonic() + seconds
-    while not ready():
-        assert time.monotonic() < end, f"not true within {seconds:.0f} s"
-        time.sleep(0.1)
 
 
 def _start(stack: ExitStack, command: list[str]) -> None:

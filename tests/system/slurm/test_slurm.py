@@ -11,8 +11,8 @@ import pytest
 
 from experiment_runner.store.results import Results
 from tests.pages import DOCS, blocks, run_block
-from tests.system.runs import COMMAND, SLOW_AGENT, contents, run
-from tests.system.slurm.cluster import slurm_cluster, wait_for
+from tests.system.runs import COMMAND, SLOW_AGENT, contents, run, wait_until
+from tests.system.slurm.cluster import slurm_cluster
 from tests.system.test_workers import FAULTY, MINES, SARSA
 
 pytestmark = pytest.mark.slow
@@ -36,6 +36,10 @@ def queue() -> list[str]:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
 
 
+def wait_until_over() -> None:
+    wait_until(lambda: not queue(), "the end of all jobs")
+
+
 def finished(directory: Path) -> bool:
     with Results.open(directory) as results:
         return all(trial.finished for trial in results.trials())
@@ -50,7 +54,7 @@ def test_results_equal_those_of_workers_and_come_by_themselves(tmp_path: Path) -
     assert run(*plan, "--workers", 2, "--out", "workers", cwd=tmp_path).returncode == 0
     done = submit(*plan, "--out", "slurm", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    wait_for(lambda: not queue())
+    wait_until_over()
     assert contents(tmp_path / "slurm") == contents(tmp_path / "workers"), log(tmp_path / "slurm")
     with Results.open(tmp_path / "slurm") as results:
         assert "finish" in [event.kind for event in results.events()]
@@ -68,7 +72,7 @@ def test_missing_trials_run_after_a_task_was_killed(tmp_path: Path) -> None:
     assert run(*plan, "--out", "undisturbed", cwd=tmp_path).returncode == 0
     options = ("--agent-option", "how=SIGKILL", "--agent-option", f"once={tmp_path}/mark")
     assert submit(*plan, *options, "--checkpoint-every", 4, "--out", "run", cwd=tmp_path).returncode == 0
-    wait_for(lambda: not queue())
+    wait_until_over()
     assert not finished(tmp_path / "run")
     with Results.open(tmp_path / "run") as results:
         fewest, *others = sorted(trial.done for trial in results.trials())
@@ -78,7 +82,7 @@ def test_missing_trials_run_after_a_task_was_killed(tmp_path: Path) -> None:
     done = submit("--resume", "run", "--trust", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "1 trial in 1 task" in done.stderr
-    wait_for(lambda: not queue())
+    wait_until_over()
     assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed"), log(tmp_path / "run")
 
 
@@ -90,7 +94,7 @@ def test_preempted_tasks_leave_a_checkpoint_and_run_again(tmp_path: Path) -> Non
     slow = (*plan, "--agent-option", f"while_there={tmp_path}/slow", "--checkpoint-every", 0, "--out", "run")
     assert submit(*slow, "--sbatch", "partition=low", cwd=tmp_path).returncode == 0
     parts = [tmp_path / "run" / "parts" / number for number in "01"]
-    wait_for(lambda: all(_done(part) >= 3 for part in parts))
+    wait_until(lambda: all(_done(part) >= 3 for part in parts), "three episodes of each")
 
     refused = submit(*slow, cwd=tmp_path)
     assert refused.returncode == 1
@@ -101,7 +105,7 @@ def test_preempted_tasks_leave_a_checkpoint_and_run_again(tmp_path: Path) -> Non
 
     urgent = ["sbatch", "--partition=high", "--ntasks=2", f"--output={tmp_path}/urgent", "--wrap=true"]
     subprocess.run(urgent, check=True, capture_output=True)
-    wait_for((tmp_path / "urgent").exists, 120)
+    wait_until((tmp_path / "urgent").exists, "the urgent job")
     begun = [_done(part) for part in parts]
     assert all(3 <= done < 2000 for done in begun)
     with Results.open(parts[0]) as results:  # the only checkpoint is that of a signal
@@ -109,27 +113,7 @@ def test_preempted_tasks_leave_a_checkpoint_and_run_again(tmp_path: Path) -> Non
     (tmp_path / "slow").unlink()
     for job in {line.split()[0] for line in queue()}:  # a requeued task waits for two minutes
         subprocess.run(["scontrol", "update", f"JobId={job}", "StartTime=now"], check=False)
-    wait_for(lambda: not queue(), 120)
-    assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed"), log(tmp_path / "run")
-
-
-def test_a_task_that_is_told_to_end_leaves_a_checkpoint(tmp_path: Path) -> None:
-    shutil.copy(SLOW_AGENT, tmp_path)
-    plan = (*MINES, "--agent", "slow.py:Slow", "--episodes", 2000, "--in-process")
-    assert run(*plan, "--out", "undisturbed", cwd=tmp_path).returncode == 0
-    (tmp_path / "slow").touch()
-    slow = (*plan, "--agent-option", f"while_there={tmp_path}/slow", "--checkpoint-every", 0, "--out", "run")
-    assert submit(*slow, cwd=tmp_path).returncode == 0
-    wait_for(lambda: _done(tmp_path / "run" / "parts" / "0") >= 3)
-    job = (tmp_path / "run" / "parts" / "job").read_text()
-    subprocess.run(["scancel", "--batch", "--signal=TERM", job], check=True)  # as before its time limit
-    wait_for(lambda: not queue())
-    with Results.open(tmp_path / "run") as results:
-        assert 3 <= results.trials()[0].done < 2000
-        assert results.checkpointed() == {"Slow/mines/0": results.trials()[0].done}
-    (tmp_path / "slow").unlink()
-    assert submit("--resume", "run", "--trust", cwd=tmp_path).returncode == 0
-    wait_for(lambda: not queue())
+    wait_until_over()
     assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed"), log(tmp_path / "run")
 
 
@@ -140,7 +124,7 @@ def test_an_option_that_slurm_refuses_leaves_the_run_to_be_submitted_again(tmp_p
     assert "invalid partition" in refused.stderr
     assert "Traceback" not in refused.stderr
     assert submit(*plan, cwd=tmp_path).returncode == 0
-    wait_for(lambda: not queue())
+    wait_until_over()
     assert finished(tmp_path / "run")
 
 
@@ -150,7 +134,7 @@ def test_text_can_be_followed(tmp_path: Path) -> None:
             (tmp_path / block.file).write_text(block.body.replace("episodes = 200", "episodes = 20"))
         elif "SLURM" in block.note:
             run_block(block, tmp_path)
-            wait_for(lambda: not queue())
+            wait_until_over()
     assert finished(tmp_path / "runs" / "slurm"), log(tmp_path / "runs" / "slurm")
 
 

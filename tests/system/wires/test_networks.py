@@ -12,7 +12,6 @@ import pytest
 
 from glue.client.experiment import RemoteExperiment, connect_over
 from glue.client.players import serve_environment
-from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import PeerLost
 from glue.hub.config import HubConfig
@@ -22,6 +21,7 @@ from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import ROOT, peer
+from tests.system.test_faults import chain
 from tests.system.wires import networks
 from tests.system.wires.networks import NEAR, Networks
 
@@ -88,16 +88,6 @@ def serve(hosts: Networks, environment: ChainEnvironment, hub: str) -> None:
         serve_environment(environment, hub)
 
 
-def play(glue: Experiment) -> list[float]:
-    """Return the returns of some episodes."""
-    glue.rl_init()
-    returns = []
-    for _ in range(EPISODES):
-        assert glue.rl_episode()
-        returns.append(glue.rl_return())
-    return returns
-
-
 @pytest.mark.parametrize("libzmq", [False, True], ids=["plain", "libzmq"])
 def test_a_blackhole_that_ends_in_time_costs_nothing(hosts: Networks, libzmq: bool) -> None:
     def pull() -> None:
@@ -105,7 +95,7 @@ def test_a_blackhole_that_ends_in_time_costs_nothing(hosts: Networks, libzmq: bo
         threading.Timer(1.0, hosts.swallow, (False,)).start()
 
     with run(hosts, Watched(50, pull), timeout=30.0, libzmq=libzmq) as glue:
-        assert play(glue) == play(local(ChainAgent(), ChainEnvironment()))
+        assert chain(glue, EPISODES) == chain(local(ChainAgent(), ChainEnvironment()), EPISODES)
 
 
 @pytest.mark.parametrize("libzmq", [False, True], ids=["plain", "libzmq"])
@@ -113,7 +103,7 @@ def test_a_player_in_a_blackhole_is_given_up_and_comes_back(hosts: Networks, lib
     timeout = 1.5
     with run(hosts, Watched(50, lambda: hosts.swallow(True)), timeout, libzmq) as glue:
         with pytest.raises(PeerLost, match="ChainAgent was unreachable"):
-            play(glue)
+            chain(glue, EPISODES)
         done = glue.rl_num_episodes()
         hosts.swallow(False)
         for _ in range(EPISODES):

@@ -2,41 +2,32 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import http.client
 import json
-import socket
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import uvicorn
 from starlette.applications import Starlette
+from starlette.types import Receive, Scope, Send
 
-from experiment_runner.competition.season.control import Door, Key, Reply, Request
+from experiment_runner.competition.season.control import Key, Reply, Request
 from experiment_runner.competition.season.entrance import routes
 from glue.client.libzmq import new_pair
-from glue.client.season import PREFIX, Membership
+from glue.client.season import PREFIX, Membership, Page
 from glue.errors import ExperimentError
 from glue.keys.certificates import KeyPair, encode, write_pair
 from glue.keys.requests import signed
+from tests.experiment_runner.competition.season import inside
+from tests.experiment_runner.competition.season.test_control import served
+from tests.experiment_runner.view.pages import in_thread
 
-FILE = """\
-name = "spring"
-trials = 2
-seed_file = "secret.txt"
-[season]
-opens = 2026-12-01T08:00:00Z
-closes = 2026-12-22T20:00:00Z
-enrol = "open"
-images = true
-most_bytes = "1m"
-[tasks]
-mines = { env = "mines", options = { random_start = true }, steps = 20, phase = "proving" }
+FILE = (
+    inside.FILE.replace("failures = 2", 'images = true\nmost_bytes = "1m"')
+    + """\
 final = { env = "skeleton", episodes = 3 }
 [tasks.secret]
 env = "mines"
@@ -46,6 +37,7 @@ rate = 50
 phase = "proving"
 hidden = true
 """
+)
 
 
 class Entrance:
@@ -64,6 +56,10 @@ class Entrance:
         self.asked: list[Request] = []
         self.pair = new_pair()
         self.port = 0
+
+    def start(self, now: Callable[[], float] = time.time) -> None:
+        """Start the page, for the first time or again."""
+        self.app = Starlette(routes=routes(self.folder, now))
 
     @property
     def url(self) -> str:
@@ -86,9 +82,10 @@ class Entrance:
         method: str = "POST",
         now: float | None = None,
     ) -> dict[str, str]:
-        """Return the headers of a request of alice."""
+        """Return the headers of a request of alice to the page as it was started last."""
         digest = hashlib.sha256(content).hexdigest()
-        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, now or time.time())
+        start = str(Page(self.url).ask("GET", "start")["start"])
+        return signed(pair or self.pair, "alice", method, PREFIX + what, digest, start, now or time.time())
 
     def ask(
         self, content: bytes = b"{}", headers: Mapping[str, str] | None = None, what: str = "attempt"
@@ -116,28 +113,14 @@ def entrance_at(
     """Open an entrance, with a server behind it or without one."""
     folder.mkdir()
     (folder / "competition.toml").write_text(text)
-    entrance, over = Entrance(folder), threading.Event()
+    entrance = Entrance(folder)
+    entrance.start(now)
 
-    def serve() -> None:
-        with Door(folder) as door:
-            while not over.is_set():
-                door.serve(entrance.answer, 0.01)
+    async def page(scope: Scope, receive: Receive, send: Send) -> None:
+        await entrance.app(scope, receive, send)
 
-    app = Starlette(routes=routes(folder, now))
-    config = uvicorn.Config(app, log_config=None, log_level="critical", lifespan="off", ws="none")
-    page = uvicorn.Server(config)
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        entrance.port = listening.getsockname()[1]
-        threads = [threading.Thread(target=lambda: asyncio.run(page.serve([listening])))]
-        threads += [threading.Thread(target=serve)] if server else []
-        for each in threads:
-            each.start()
-        try:
-            while not page.started or (server and not (folder / "control").exists()):
-                time.sleep(0.01)
-            yield entrance
-        finally:
-            over.set()
-            page.should_exit = True
-            for each in threads:
-                each.join()
+    with ExitStack() as stack:
+        if server:
+            stack.enter_context(served(folder, entrance.answer))
+        entrance.port = stack.enter_context(in_thread(lambda port: page, log_level="critical", ws="none"))
+        yield entrance

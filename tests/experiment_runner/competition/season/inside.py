@@ -15,9 +15,9 @@ from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.verify import judge
 from experiment_runner.competition.season.control import Attempt, Enrol, Organise, Reply, Request
 from experiment_runner.competition.season.server import Server
-from experiment_runner.competition.season.state import SeasonState
-from experiment_runner.competition.season.worker import Replay, Verified
+from experiment_runner.competition.season.worker import Replay
 from experiment_runner.competition.settings import Competition, Gate, parse_competition
+from experiment_runner.competition.state import State
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended
@@ -74,7 +74,7 @@ class Executor:
         if isinstance(job, Replay):
             with Results.open(job.directory) as results:
                 verdict = judge(results, job.spec, job.outcome, job.steps)
-            reports = [Verified(verdict), Ended(None)]
+            reports = [verdict, Ended(None)]
         else:
             agent = self.agents.get(job.entrant.name, Walker())
             self.played.append(job.spec.id)
@@ -115,7 +115,7 @@ class Raising(Walker):
     """Forfeits."""
 
     def agent_init(self, task_spec: str) -> None:
-        raise ValueError("no idea")
+        raise ValueError("<b>no idea</b>")
 
 
 @dataclass
@@ -191,9 +191,9 @@ class Season:
         found: list[str] = self.ask(Organise(kind, subject, **{"why": "because", **more}))["acts"]
         return found
 
-    def enrol(self, *names: str) -> None:
-        for name in names:
-            self.ask(Enrol(name, encode(new_pair().public), CODE))
+    def enrol(self, *names: str) -> list[str]:
+        """Let entrants enrol; return their tokens."""
+        return [self.ask(Enrol(name, encode(new_pair().public), CODE))["token"] for name in names]
 
     def attempt(self, name: str) -> int:
         """Let an entrant play an attempt, until it is over; return its number."""
@@ -206,8 +206,8 @@ class Season:
         return course_of(self.directory)
 
     @property
-    def state(self) -> SeasonState:
-        return SeasonState.of(self.course)
+    def state(self) -> State:
+        return self.course.state
 
     def states(self, name: str) -> Mapping[int, str]:
         return {number: one.state for number, one in self.state.entrants[name].attempts.items()}

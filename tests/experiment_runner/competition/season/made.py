@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from experiment_runner.competition.course import Course
-from experiment_runner.competition.organiser import open_competition
-from experiment_runner.competition.records import journal, seal
+from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act
 from experiment_runner.competition.season.board import PUBLIC, Boards, EntrantRow, SeasonBoard
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import parse_competition
+from experiment_runner.competition.state import State
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
-from experiment_runner.store.store import Store
 
 FILE = """
 name = "spring"
@@ -60,9 +58,9 @@ class Made:
         return Course(self.competition, self.acts)
 
     @property
-    def state(self) -> SeasonState:
+    def state(self) -> State:
         """The state of the season."""
-        return SeasonState.of(self.course)
+        return self.course.state
 
     def act(self, kind: str, subject: str = EVERYBODY, reason: str = "", **more: Any) -> None:
         """Add an act."""
@@ -105,13 +103,3 @@ class Made:
     def rows(self, viewer: str = PUBLIC) -> dict[str, EntrantRow]:
         """Return the rows of the board by what they show."""
         return {row.shown: row for row in self.board(viewer).entrants}
-
-    def write(self, directory: Path) -> Store:
-        """Write the season as a run; return its store."""
-        store = open_competition(directory, self.text, self.competition, SECRET)
-        seal.record_acts(store, self.acts)
-        seal.add_trials(store, self.course.specs(self.course.admitted(self.competition), SECRET))
-        for trial_id, outcome in self.outcomes.items():
-            seal.record_outcome(store, trial_id, outcome)
-            seal.record_verdict(store, trial_id, self.verdicts[trial_id])
-        return store

@@ -126,6 +126,9 @@ def test_a_frozen_board_changes_for_the_organiser_alone(made: Made) -> None:
     assert made.rows(ORGANISER)["bob"].place == 1
     made.act(journal.THAW)
     assert made.rows()["bob"].place == 1
+    made.act(journal.FREEZE)
+    made.act(journal.CLOSE)
+    assert not made.board().frozen
 
 
 def test_pseudonyms_and_reasons_are_for_the_owner_and_the_organiser() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import sys
 from pathlib import Path
@@ -78,20 +76,16 @@ GRADES_OF = (("ann", 2.5), ("bob", float("nan")), ("cy", 2.5), ("dan", 1.0))
 @pytest.mark.parametrize(
     ("form", "header", "row"),
     [
-        (
-            "canvas",
-            ["Student", "ID", "SIS User ID", "SIS Login ID", "Section", "spring"],
-            ["ann", "", "", "ann", "", "2.5"],
-        ),
-        ("moodle", ["username", "spring"], ["ann", "2.5"]),
-        ("csv", ["place", "entrant", "spring"], ["1", "ann", "2.5"]),
+        ("canvas", "Student,ID,SIS User ID,SIS Login ID,Section,spring", "ann,,,ann,,2.5"),
+        ("moodle", "username,spring", "ann,2.5"),
+        ("csv", "place,entrant,spring", "1,ann,2.5"),
     ],
 )
-def test_grades_are_files_that_other_systems_take(form: str, header: list[str], row: list[str]) -> None:
-    lines = list(csv.reader(io.StringIO(GRADES[form]("spring", GRADES_OF))))
+def test_grades_are_files_that_other_systems_take(form: str, header: str, row: str) -> None:
+    lines = GRADES[form]("spring", GRADES_OF).splitlines()
     assert lines[:2] == [header, row]
     assert len(lines) == 5
-    assert [line[-1] for line in lines if "bob" in line] == [""]
+    assert [line[-1] for line in lines if "bob" in line] == [","]
 
 
 def test_a_season_is_shown_in_the_terminal() -> None:

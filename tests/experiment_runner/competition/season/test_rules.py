@@ -11,7 +11,6 @@ import pytest
 
 from experiment_runner.competition.course import Course
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.season.state import SeasonState
 from experiment_runner.competition.settings import changed, changes, parse_competition
 from experiment_runner.competition.trials import attempt_trials, levels, trials
 from glue.errors import ConfigError, ExperimentError
@@ -50,30 +49,16 @@ def test_a_season_is_read() -> None:
     ("old", "new", "line", "why"),
     [
         ("opens = 2026-12-01T09:00:00\n", "", 2, "needs opens"),
-        (
-            "opens = 2026-12-01T09:00:00",
-            "opens = 2026-12-01",
-            3,
-            "opens must be a time, as in 2026-12-01T09:00:00",
-        ),
+        ("T09:00:00\n", "\n", 3, "opens must be a time, as in 2026-12-01T09:00:00"),
         ("2026-12-20", "2026-11-20", 4, "a season opens first"),
-        (
-            "2026-12-20T18:00:00Z",
-            "2026-12-20T18:00:00Z\nfreeze = 2026-12-24T18:00:00",
-            4,
-            "a season opens first",
-        ),
+        ("18:00:00Z", "18:00:00Z\nfreeze = 2026-12-24T18:00:00", 4, "a season opens first"),
         ("Europe/Berlin", "Europe/Atlantis", 5, "the name of a time zone"),
         ("Europe/Berlin", "../../etc/passwd", 5, "the name of a time zone"),
         ('code_file = "code.txt"\n', "", 2, "name the code"),
         ('code_file = "code.txt"', 'code_file = "c"\ncode_env = "C"', 2, "name the code"),
-        ('code_file = "code.txt"', 'enrol = "opne"', 6, "did you mean open"),
-        ('code_file = "code.txt"', 'code_file = "c"\ncount = "most"', 7, "count cannot be 'most'"),
         ('"512m"', '"lots"', 7, "most_bytes is a number of bytes"),
-        ("zone", "zoen", 5, "did you mean zone"),
         ('phase = "proving"', "", 8, "a season needs a task"),
         ('phase = "proving"', 'phase = "proving"\nhidden = true', 8, "a season needs a task"),
-        ('phase = "proving"', 'phase = "proof"', 11, "choose from proving, testing"),
         ("[tasks.final]", "[tasks.final]\nhidden = true", 13, "scores are hidden anyway"),
     ],
 )
@@ -81,15 +66,6 @@ def test_a_mistake_has_its_line(old: str, new: str, line: int, why: str) -> None
     with pytest.raises(ConfigError, match=why) as failure:
         parse_competition(_FILE.replace(old, new), Path("spring.toml"))
     assert f"line {line}:" in str(failure.value)
-
-
-def test_a_proving_task_needs_a_season() -> None:
-    with pytest.raises(ConfigError, match=r"there is no table \[season\]"):
-        parse_competition(
-            'seed_env = "S"\n[tasks.a]\nenv = "mines"\nsteps = 9\nphase = "proving"\n'
-            '[entrants.a]\ncommand = ["true"]\n',
-            Path("spring.toml"),
-        )
 
 
 def test_changes_of_the_rules_are_acts_and_others_are_refused_by_name() -> None:
@@ -100,7 +76,7 @@ def test_changes_of_the_rules_are_acts_and_others_are_refused_by_name() -> None:
     acts = made.course.changes(now)
     assert [one.subject for one in acts] == ["freeze", "enrol"]
     course = Course(made.competition, [*made.acts, *acts])
-    assert course.season == SeasonState.of(course).season == now.season
+    assert course.state.season == now.season
     assert course.changes(now) == []
     assert made.competition.season is not None
     assert changed(made.competition.season, "freeze", "null") == made.competition.season

@@ -23,13 +23,6 @@ def test_every_call_of_the_command_is_understood() -> None:
         paper.make_context(name, arguments)
 
 
-def test_figures_are_those_of_the_folder_and_small() -> None:
-    shown = re.findall(r"!\[[^]]+\]\(images/paper/(.+?)\)", TEXT)
-    files = {path.name: path.stat().st_size for path in (DOCS / "images" / "paper").iterdir()}
-    assert sorted(shown) == sorted(files)
-    assert sum(files.values()) < 4_000_000
-
-
 def test_tables_are_of_finished_trials_of_every_experiment_of_the_paper() -> None:
     studied = [experiment for experiment in EXPERIMENTS.values() if experiment.group == ALL]
     agents = {sweep.label for experiment in studied for sweep in experiment.agents}

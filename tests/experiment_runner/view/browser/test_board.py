@@ -17,27 +17,17 @@ _ENTRANTS = 12
 _LOOK = "const style = getComputedStyle(one); return `${style.stroke} ${style.strokeDasharray}`"
 
 
+def placed(place: int) -> Standing:
+    total = -1234.5 * place
+    task = TaskScore(total, (-1234.5,), float(place), tuple(range(0, -9 * place, -place)))
+    name = f"{place}{'x' * 62}"
+    return Standing(name, place, float(place), place, total, -2000.0, -1000.0, {"walk": task})
+
+
 def board(missing: int) -> Standings:
-    names = [f"{number}{'x' * 62}" for number in range(_ENTRANTS)]
-    placed = [
-        Standing(
-            name,
-            place,
-            float(place),
-            place,
-            -1234.5 * place,
-            -2000.0,
-            -1000.0,
-            {
-                "walk": TaskScore(
-                    -1234.5 * place, (-1234.5,), float(place), tuple(range(0, -9 * place, -place))
-                )
-            },
-        )
-        for place, name in enumerate(names, 1)
-    ]
+    entrants = map(placed, range(1, _ENTRANTS + 1))
     others = [Standing(f"late{number}", missing="not verified yet") for number in range(missing)]
-    return Standings("spring", ("walk",), (*placed, *others), "glue-rl 0.3.0")
+    return Standings("spring", ("walk",), (*entrants, *others), "glue-rl 0.3.0")
 
 
 @pytest.mark.parametrize("missing", [0, 2])

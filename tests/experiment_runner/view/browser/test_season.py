@@ -6,42 +6,51 @@ import functools
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 
-from experiment_runner.competition.records.journal import ANNOUNCE, EVERYBODY, REQUEST
+from experiment_runner.competition.aliases import pseudonym
+from experiment_runner.competition.season.control import Attempt
+from tests.experiment_runner.competition.season.inside import SECRET, Raising, Season
 from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed, needs_axe
 from tests.experiment_runner.view.pages import Page, shown_by
-from tests.experiment_runner.view.season.seasons import Held
+from tests.experiment_runner.view.season.test_page import FILE
 
 needed()
 
 SIZES = {"phone": (360, 780), "projector": (1920, 1080)}
 
+OTTER, MOLE, VOLE = (pseudonym(name, SECRET, ()) for name in ("alice", "bob", "carol"))
+ADDRESS = quote(OTTER)
+
 VIEWS = {
     "board": "What the organiser did",
     "board?projector=1": "Rules",
-    "entrant/otter": "Replay of attempt 1",
-    "replay/otter/1": "mines, trial 1",
-    "replay/otter/1/mines/1/2": "Link to this moment",
+    f"entrant/{ADDRESS}": "Replay of attempt 1",
+    f"replay/{ADDRESS}/1": "mines, trial 1",
+    f"replay/{ADDRESS}/1/mines/1/2": "Link to this moment",
     "entrant/nobody": "there is no such entrant",
 }
 """Each view of the public, and a text that it shows once it is loaded."""
 
 
 @pytest.fixture(scope="module")
-def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Held]:
-    with Held(tmp_path_factory.mktemp("runs") / "spring") as held:
-        held.enrol("alice", "otter")
-        held.enrol("bob", "mole<script>")
-        held.play("alice", 1, (0, 1, 2))
-        held.play("bob", 1, (3, 2), forfeit="<b>the bank is empty</b>")
-        held.play("alice", 2, (1, 2))
-        held.act("exclude", held.enrol("carol", "vole").removeprefix("the token of "), "posed as another")
-        held.act(REQUEST, "alice", number=3)
-        yield held
+def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Season]:
+    season = Season(tmp_path_factory.mktemp("spring"), FILE)
+    with season.stack:
+        season.enrol("alice", "bob", "carol")
+        season.executor.agents["bob"] = Raising()
+        for name in ("alice", "bob", "alice"):
+            season.attempt(name)
+            season.today += timedelta(minutes=1)
+        season.act("exclude", "carol")
+        season.act("pause")
+        season.ask(Attempt("alice"))
+        yield season
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +59,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def page(held: Held, published: Path) -> Iterator[Page]:
+def page(held: Season, published: Path) -> Iterator[Page]:
     command = ("glue-compete", "page", str(held.directory), "--page", "127.0.0.1:0")
     with shown_by(*command, "--publish", str(published), cwd=held.directory.parent) as page:
         yield page
@@ -90,28 +99,28 @@ def test_the_board_shows_places_queue_and_what_the_organiser_did(browser: Browse
     browser.set_size(1200, 900)
     browser.go("board")
     rows = browser.has_table("Places")
-    assert {row[1].split(" no ")[0] for row in rows[:2]} == {"otter", "mole<script>"}
+    assert [row[1].split(" no ")[0] for row in rows[:2]] == [OTTER, MOLE]
     assert [row[0] for row in rows] == ["1", "2", "-"]
-    assert browser.find("ol").text == "otter"
-    browser.shows("excluded: vole")
+    assert browser.find("ol").text == OTTER
+    browser.shows(f"excluded: {VOLE}")
     assert "alice" not in browser.text()
 
 
-def test_an_announcement_appears_by_itself(browser: Browser, held: Held) -> None:
+def test_an_announcement_appears_by_itself(browser: Browser, held: Season) -> None:
     browser.go("board")
     browser.shows("Rules")
-    held.act(ANNOUNCE, EVERYBODY, "We <i>move</i> the server tonight.")
+    held.act("announce", why="We <i>move</i> the server tonight.")
     browser.shows("We <i>move</i> the server tonight.")
 
 
 def test_from_the_board_a_click_leads_to_an_entrant_its_attempt_and_its_picture(browser: Browser) -> None:
     browser.go("board")
-    browser.find("a[href='#/entrant/otter']").click()
+    browser.find(f"a[href='#/entrant/{ADDRESS}']").click()
     rows = browser.has_table("Attempts")
     assert [row[:2] for row in rows[1:]] == [["2", rows[1][1]], ["1", rows[2][1]]]
     assert sum("counts" in row[1] for row in rows) == 1  # the best of them
-    browser.find("a[href='#/replay/otter/1']").click()
-    browser.find("a[href='#/replay/otter/1/mines/0/1']").click()
+    browser.find(f"a[href='#/replay/{ADDRESS}/1']").click()
+    browser.find(f"a[href='#/replay/{ADDRESS}/1/mines/0/1']").click()
     canvas = browser.find("canvas[role=img]:not([hidden])")
     assert canvas.get_attribute("aria-label")
     browser.find("button[aria-label='Last step']").click()
@@ -124,10 +133,10 @@ def test_the_organiser_sees_names_hidden_tasks_and_reasons(page: Page, browser: 
     rows = browser.has_table("Places")
     assert {row[1].split()[0] for row in rows} >= {"alice", "bob"}
     browser.go("entrant/bob")
-    browser.shows("<b>the bank is empty</b>")
+    browser.shows("<b>no idea</b>")
     browser.driver.delete_all_cookies()
     browser.go("board")
-    browser.shows("mole<script>")
+    browser.shows(MOLE)
 
 
 def test_the_published_page_is_the_same_without_replays(browser: Browser, published: Path) -> None:
@@ -138,7 +147,7 @@ def test_the_published_page_is_the_same_without_replays(browser: Browser, publis
     with _web_server(published) as address:
         browser.driver.get(address)
         assert browser.has_table("Places") == places
-        browser.find("a[href='#/entrant/otter']").click()
+        browser.find(f"a[href='#/entrant/{ADDRESS}']").click()
         browser.has_table("Attempts")
         assert "Replay of" not in browser.text()
         assert browser.errors() == []

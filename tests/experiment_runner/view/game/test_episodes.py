@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from env_server.render.drawing import sprite, tile
+from env_server.render.artwork import TILES
+from env_server.render.drawing import drawn, sprite
 from experiment_runner.view import episodes
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation, body_size
@@ -169,11 +170,12 @@ def test_the_sheet_holds_every_sprite_where_it_is_said_to_be(shown: Shown) -> No
     sheet = np.asarray(Image.open(io.BytesIO(answer.body)))
     assert sheet.shape[2] == 4
     artwork = page.ask("/drawings/mario/artwork.json").json()
-    for name, drawn in (("tile flag", tile("flag")), ("sprite 3 left winged", sprite(3, True, True))):
+    pictures = {"tile flag": drawn(TILES["flag"]), "sprite 3 left winged": sprite(3, True, True)}
+    for name, picture in pictures.items():
         left, top, width, height = artwork["places"][name]
         part = sheet[top : top + height, left : left + width]
-        assert part.shape[:2] == drawn.shape
-        assert ((part[..., 3] == 0) == (drawn == 255)).all()
+        assert part.shape[:2] == picture.shape
+        assert ((part[..., 3] == 0) == (picture == 255)).all()
     assert page.ask("/drawings/toys/map.json").json()[0].startswith("S")
     assert page.ask("/drawings/mario/nothing").status == page.ask("/drawings/..%2f/mario.js").status == 404
 

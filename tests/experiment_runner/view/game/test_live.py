@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.store.layout import HUBS_FILE, LiveSession, LiveSessions, live_sessions
+from experiment_runner.store.layout import HUBS_FILE, LiveSession, live_sessions, put_live_sessions
 from glue.types import Action, Observation, body_size
 from tests.experiment_runner.view.pages import Page, Stream, glue_view
 from tests.terminal import Terminal
@@ -63,8 +63,8 @@ def test_a_page_sees_what_is_played_and_the_run_does_not_change(page: Page, tmp_
         assert live.hub.startswith("ipc:///")
         topic = f"live:{run_id}"
         stream, known = page.stream(f"topic={topic}"), dict[str, Any]()
-        steps = set()
-        for _ in range(6):
+        steps: set[int] = set()
+        while len(steps) < 3:
             moment = until(stream, topic, "moment", known)
             body = base64.b64decode(moment["seen"])
             cut = body_size(body)
@@ -76,7 +76,6 @@ def test_a_page_sees_what_is_played_and_the_run_does_not_change(page: Page, tmp_
                 assert moment["return"] == -moment["step"]  # each step costs 1
                 assert moment["reward"] == (-1 if moment["step"] else 0)
             steps.add(moment["step"])
-        assert len(steps) > 2
         assert (known["trial"], known["trials"], known["spec"]["extra"]) == (trial, [trial], "mines")
         other = page.stream(f"topic=live:{run_id}/{trial}")
         assert until(other, f"{topic}/{trial}", "moment", {})
@@ -118,18 +117,18 @@ def test_there_is_no_topic_of_what_is_no_run(page: Page) -> None:
 def test_trials_come_and_go(tmp_path: Path) -> None:
     file = tmp_path / HUBS_FILE
     file.write_text("left behind")
-    file_of_hubs = LiveSessions(tmp_path)
+    put_live_sessions(tmp_path, {})
     assert not file.exists()
     sessions = {
         "a/b/0": LiveSession("tcp://127.0.0.1:4097", "default"),
         "a/b/1": LiveSession("tcp://[::1]:4097", "b"),
     }
-    for trial, live in sessions.items():
-        file_of_hubs.begin(trial, live)
+    put_live_sessions(tmp_path, sessions)
     assert live_sessions(tmp_path) == sessions
-    file_of_hubs.end("a/b/0")
+    del sessions["a/b/0"]
+    put_live_sessions(tmp_path, sessions)
     assert live_sessions(tmp_path).keys() == {"a/b/1"}
-    file_of_hubs.close()
+    put_live_sessions(tmp_path, {})
     assert list(tmp_path.iterdir()) == []
 
 

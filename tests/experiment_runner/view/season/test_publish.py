@@ -5,59 +5,71 @@ from __future__ import annotations
 import json
 import os
 import signal
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from experiment_runner.competition.records.journal import ANNOUNCE, CHANGE, EVERYBODY
+from experiment_runner.competition.aliases import pseudonym
+from experiment_runner.competition.records.journal import CHANGE, act
+from experiment_runner.competition.records.seal import record_acts
 from experiment_runner.view.launch import season_viewed
 from experiment_runner.view.season.publish import Publisher
 from experiment_runner.view.season.views import Views
 from glue.errors import ExperimentError
-from tests.experiment_runner.view.season.seasons import Held
+from tests.experiment_runner.competition.season.inside import SECRET, Season
 from tests.forked import run
-from tests.system.runs import wait_until
+from tests.system.runs import children, wait_until
+
+LYNX = pseudonym("alice", SECRET, ())
 
 
-def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed(tmp_path: Path) -> None:
-    with Held(tmp_path / "spring") as held:
-        held.enrol("alice", "amber lynx")
-        publisher = Publisher(Views(held.directory, lambda: held.now), tmp_path / "public")
-        publisher.publish()
-        public = tmp_path / "public"
-        assert {path.name for path in public.iterdir()} == {
-            *("index.html", "static", "season.json", "feed.xml", "entrants")
-        }
-        board = json.loads((public / "season.json").read_text())
-        assert (board["replays"], [one["name"] for one in board["entrants"]]) == (False, ["amber lynx"])
-        assert (public / "entrants" / "amber lynx.json").is_file()
-        assert "alice" not in "".join(path.read_text("utf-8") for path in public.glob("**/*.json"))
-        before = (public / "index.html").stat().st_mtime_ns
-        (tmp_path / "other").write_text("mine")
-        (public / "season.json").unlink()
-        (public / "season.json").symlink_to(tmp_path / "other")
-        held.act(ANNOUNCE, EVERYBODY, "a break")
-        Publisher(Views(held.directory, lambda: held.now), tmp_path / "public").publish()
-        assert json.loads((public / "season.json").read_text())["announcements"][0]["text"] == "a break"
-        assert (tmp_path / "other").read_text() == "mine"
-        publisher.publish()
-        assert (public / "index.html").stat().st_mtime_ns >= before
+@pytest.fixture
+def season(tmp_path: Path) -> Iterator[Season]:
+    """A season in which only alice, a lynx, has enrolled."""
+    made = Season(tmp_path)
+    with made.stack:
+        made.enrol("alice")
+        yield made
 
 
-def test_nobody_is_found_by_a_name_that_is_no_longer_shown(tmp_path: Path) -> None:
-    with Held(tmp_path / "spring") as held:
-        held.enrol("alice", "amber lynx")
-        entrants = tmp_path / "public" / "entrants"
-        for names, shown in (("own", "alice"), ("pseudonyms", "amber lynx"), ("own", "alice")):
-            held.act(CHANGE, "names", value=f'"{names}"')
-            Publisher(Views(held.directory, lambda: held.now), entrants.parent).publish()
-            assert [path.name for path in entrants.iterdir()] == [f"{shown}.json"]
+def publisher(season: Season) -> Publisher:
+    return Publisher(Views(season.directory, lambda: season.today), season.folder / "public")
 
 
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "public").write_text("a file")
-    with Held(tmp_path / "spring") as held, pytest.raises(ExperimentError, match="cannot write"):
-        Publisher(Views(held.directory, lambda: held.now), tmp_path / "public").publish()
+def test_what_has_changed_is_written_and_nothing_else_and_a_link_is_not_followed(season: Season) -> None:
+    publisher(season).publish()
+    public, other = season.folder / "public", season.folder / "other"
+    names = {"index.html", "static", "season.json", "feed.xml", "entrants"}
+    assert {path.name for path in public.iterdir()} == names
+    board = json.loads((public / "season.json").read_text())
+    assert (board["replays"], [one["name"] for one in board["entrants"]]) == (False, [LYNX])
+    assert (public / "entrants" / f"{LYNX}.json").is_file()
+    assert "alice" not in "".join(path.read_text("utf-8") for path in public.glob("**/*.json"))
+    before = (public / "index.html").stat().st_mtime_ns
+    other.write_text("mine")
+    (public / "season.json").unlink()
+    (public / "season.json").symlink_to(other)
+    season.act("announce", why="a break")
+    publisher(season).publish()
+    assert json.loads((public / "season.json").read_text())["announcements"][0]["text"] == "a break"
+    assert other.read_text() == "mine"
+    assert (public / "index.html").stat().st_mtime_ns >= before
+
+
+def test_nobody_is_found_by_a_name_that_is_no_longer_shown(season: Season) -> None:
+    entrants = season.folder / "public" / "entrants"
+    for names, shown in (("own", "alice"), ("pseudonyms", LYNX), ("own", "alice")):
+        record_acts(season.store, [act(CHANGE, "names", "", value=f'"{names}"')])
+        publisher(season).publish()
+        assert [path.name for path in entrants.iterdir()] == [f"{shown}.json"]
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(season: Season) -> None:
+    (season.folder / "public").write_text("a file")
+    with pytest.raises(ExperimentError, match="cannot write"):
+        publisher(season).publish()
 
 
 @pytest.mark.parametrize(
@@ -85,33 +97,14 @@ def test_a_page_logs_json_too(tmp_path: Path) -> None:
     assert "holds no competition" in line["message"]
 
 
-def test_a_page_that_is_killed_is_started_again_and_ends_with_its_server(tmp_path: Path) -> None:
+def test_a_page_that_is_killed_is_started_again_and_ends_with_its_server(season: Season) -> None:
     lines: list[str] = []
-    with Held(tmp_path / "spring") as held:
-        with season_viewed(held.directory, {"page": "127.0.0.1:0", "insecure": False}, lines.append):
-            first = _page_of(held.directory)
-            os.kill(first, signal.SIGKILL)
-            wait_until(lambda: bool(lines), "the news of its end")
-            assert "killed by signal 9" in lines[0]
-            second = _page_of(held.directory)
-            assert second != first
-        assert not Path(f"/proc/{second}").exists()
-
-
-def _page_of(directory: Path) -> int:
-    """Wait for the page's process; return its id."""
-    found: list[int] = []
-
-    def look() -> bool:
-        for path in Path("/proc").glob("[0-9]*/cmdline"):
-            try:
-                words = path.read_bytes().split(b"\0")
-            except OSError:
-                continue
-            if b"page" in words and str(directory).encode() in words:
-                found.append(int(path.parent.name))
-                return True
-        return False
-
-    wait_until(look, "the page's process")
-    return found[-1]
+    pages = partial(children, os.getpid(), f" page {season.directory}")
+    with season_viewed(season.directory, {"page": "127.0.0.1:0", "insecure": False}, lines.append):
+        wait_until(pages, "the page's process")
+        (first,) = pages()
+        os.kill(first, signal.SIGKILL)
+        wait_until(lambda: lines and pages(), "another one")
+        assert "killed by signal 9" in lines[0]
+        assert pages() != [first]
+    assert not pages()

@@ -15,7 +15,8 @@ from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.view.season import replays
-from experiment_runner.view.season.replays import Replays, replayed
+from experiment_runner.view.season.replays import replayed
+from experiment_runner.view.stream import Reader
 from glue.errors import ExperimentError
 from glue.trajectory import ActionWriter, Ending
 from glue.types import Action, body_size, step_of
@@ -42,7 +43,7 @@ def record(path: Path) -> list[list[bytes]]:
             writer.start()
             for step in range(6):
                 action = Action(ints=[(step + episode) % 4])
-                found = step_of(environment, environment.env_step(action))
+                found = step_of(environment.env_step(action))
                 writer.step(action.body, found.reward)
                 bodies.append(found.observation.body)
                 if found.terminal:
@@ -85,7 +86,7 @@ def test_a_long_way_to_an_episode_is_refused(tmp_path: Path, monkeypatch: pytest
 
 def test_only_so_many_wait_for_a_replay_and_the_others_are_told_when_to_come_again() -> None:
     async def ask(count: int) -> list[object]:
-        play = Replays()
+        play = Reader("replays", 8)
         asked = [play(lambda: "shown") for _ in range(count)]
         return list(await asyncio.gather(*asked, return_exceptions=True))
 

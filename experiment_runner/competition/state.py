@@ -1,20 +1,23 @@
-"""The state of a season: what the acts of its journal have made of it. No clock and no file is read."""
+"""The state of a competition: what the acts of its journal have made of it. No clock and no file is read."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from typing import Final, Literal
 
-from experiment_runner.competition.course import Course
 from experiment_runner.competition.records import journal
-from experiment_runner.competition.records.journal import ENTER, EVERYBODY, Act
+from experiment_runner.competition.records.journal import EVERYBODY, Act
 from experiment_runner.competition.settings import Season, changed
 from glue.errors import ExperimentError
 
-State = Literal["waiting", "playing", "over", "ours", "cancelled"]
+IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
+"""The ids of images."""
+
+AttemptState = Literal["waiting", "playing", "over", "ours", "cancelled"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +31,7 @@ class Attempt:
         state: `waiting`, then `playing`, then one of the others, which are final. `over` were played to the
             end or forfeited; `ours` were not, for a reason that is not the entrant's; `cancelled` never
             began.
-        began: when it was let play; None before.
+        start: the act that let it play, with its player; None before.
         ended: when it got its final state; None before.
         why: of `ours` and `cancelled`, the reason; of `over`, why it was forfeited, empty if it was not.
         withdrawn: whether its owner has withdrawn it, so that it does not count.
@@ -42,8 +45,8 @@ class Attempt:
     entrant: str
     number: int
     requested: datetime
-    state: State = "waiting"
-    began: datetime | None = None
+    state: AttemptState = "waiting"
+    start: Act | None = None
     ended: datetime | None = None
     why: str = ""
     withdrawn: bool = False
@@ -52,13 +55,19 @@ class Attempt:
     granted: bool = False
     order: int = 0
 
+    @property
+    def began(self) -> datetime | None:
+        """When it was let play; None before."""
+        return None if self.start is None else self.start.when
+
 
 @dataclass(slots=True)
 class Enrolled:
-    """An entrant of a season.
+    """An entrant, and its attempts in a season.
 
     Args:
-        act: that admitted it, with its alias, team and token, and with its present player and id.
+        act: that admitted it.
+        image: the act with the image that it has submitted last; None if it has submitted none.
         attempts: by number, in the order in which they were queued.
         excluded: the reason; empty if it is not excluded.
         paused: the reason; empty if it is not paused.
@@ -71,6 +80,7 @@ class Enrolled:
     """
 
     act: Act
+    image: Act | None = None
     attempts: dict[int, Attempt] = field(default_factory=dict)
     excluded: str = ""
     paused: str = ""
@@ -85,6 +95,18 @@ class Enrolled:
     def name(self) -> str:
         """Its name."""
         return self.act.subject
+
+    @property
+    def present(self) -> Act:
+        """The act that admitted it, with its present player and id."""
+        if self.image is None:
+            return self.act
+        return replace(self.act, player=self.image.player, id=self.image.id)
+
+    @property
+    def key(self) -> str:
+        """Its public key; empty if the organiser's file names its program."""
+        return "" if IMAGE_ID.fullmatch(self.act.id) else self.act.id
 
     @property
     def playing(self) -> Attempt | None:
@@ -116,13 +138,13 @@ class Enrolled:
 
 
 @dataclass(slots=True)
-class SeasonState:
-    """The state of a season after the acts of its journal.
+class State:
+    """The state of a competition after the acts of its journal.
 
     Args:
-        season: its rules, with the changes that were made to them.
+        rules: of its season, with the changes that were made to them; None if it has none.
         entrants: by name, in the order of their admission.
-        paused: the reason why no attempt is let play; empty if attempts are.
+        paused: the reason why nothing is let play; empty if anything is.
         frozen: when the public board was frozen by an act; None if it was not, or was thawed.
         thawed: whether it was thawed, which also overrules `Season.freeze`.
         closed: when the season was closed; None if it was not.
@@ -130,7 +152,7 @@ class SeasonState:
         count: number of acts.
     """
 
-    season: Season
+    rules: Season | None
     entrants: dict[str, Enrolled] = field(default_factory=dict)
     paused: str = ""
     frozen: datetime | None = None
@@ -139,21 +161,16 @@ class SeasonState:
     announcements: list[Act] = field(default_factory=list)
     count: int = 0
 
-    @classmethod
-    def of(cls, course: Course) -> SeasonState:
-        """Return the state after all acts of a run's journal.
+    @property
+    def season(self) -> Season:
+        """The rules of the season.
 
         Raises:
-            ExperimentError: the competition has no season, or an act cannot have been.
+            ExperimentError: there is no season.
         """
-        if course.competition.season is None:
+        if self.rules is None:
             raise ExperimentError("the competition has no season: its file has no table [season]")
-        state = cls(course.competition.season)
-        for entrant in course.competition.entrants:
-            state.entrants[entrant.name] = Enrolled(Act("", ENTER, entrant.name, "", player=entrant.player))
-        for one in course.acts:
-            state.apply(one)
-        return state
+        return self.rules
 
     def apply(self, one: Act) -> None:
         """Take the next act of the journal into account.
@@ -174,15 +191,17 @@ class SeasonState:
             case journal.ANNOUNCE:
                 self.announcements.append(one)
             case journal.CHANGE:
-                self.season = changed(self.season, one.subject, one.value)
+                self.rules = changed(self.season, one.subject, one.value)
             case journal.CLOSE:
-                self.closed = one.when
+                self.closed, self.paused = one.when, ""
+                for entrant in self.entrants.values():
+                    entrant.paused = ""
             case journal.PAUSE if one.subject == EVERYBODY:
                 self.paused = one.reason
             case journal.RESUME if one.subject == EVERYBODY:
                 self.paused = ""
             case journal.RERUN if one.trial:
-                pass  # of a trial that is played after the season
+                pass  # of a trial, see `Course.reruns`
             case journal.REQUEST | journal.RERUN:
                 self._queue(one)
             case journal.START | journal.OVER | journal.OURS | journal.CANCEL | journal.WITHDRAW:
@@ -201,8 +220,7 @@ class SeasonState:
                 entrant.paused, entrant.failed = "", 0
             case journal.IMAGE:
                 entrant = self.entrant(one.subject)
-                entrant.act = replace(entrant.act, player=one.player, id=one.id)
-                entrant.failed = 0
+                entrant.image, entrant.failed = one, 0
                 if entrant.amends:
                     entrant.paused = ""
             case _:
@@ -240,7 +258,7 @@ class SeasonState:
             raise ExperimentError(f"{name} has no attempt {number}")
         return attempts[number]
 
-    def attempts(self, *states: State) -> list[Attempt]:
+    def attempts(self, *states: AttemptState) -> list[Attempt]:
         """Return all attempts in these states; the cost of those that wait or play depends on no others."""
         current = not {*states} - {"waiting", "playing"}
         return [
@@ -291,7 +309,7 @@ class SeasonState:
             )
         match one.act:
             case journal.START:
-                new = replace(was, state="playing", began=one.when)
+                new = replace(was, state="playing", start=one)
                 entrant.served = self.count
             case journal.OVER:
                 new = replace(was, state="over", ended=one.when, why=one.reason)
@@ -299,7 +317,7 @@ class SeasonState:
             case journal.WITHDRAW:
                 new = replace(was, withdrawn=True)
             case _:
-                state: State = "ours" if one.act == journal.OURS else "cancelled"
+                state: AttemptState = "ours" if one.act == journal.OURS else "cancelled"
                 new = replace(was, state=state, ended=one.when, why=one.reason)
                 self._charge(entrant, was, -1)
         entrant.attempts[was.number] = new
@@ -308,7 +326,7 @@ class SeasonState:
             entrant.current[was.number] = new
 
 
-_BEFORE: Final[dict[str, tuple[State, ...]]] = {
+_BEFORE: Final[dict[str, tuple[AttemptState, ...]]] = {
     journal.START: ("waiting",),
     journal.OVER: ("playing",),
     journal.OURS: ("waiting", "playing"),
