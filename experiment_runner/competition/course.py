@@ -15,7 +15,7 @@ from experiment_runner.competition.settings import (
     changes,
     load_competition,
 )
-from experiment_runner.competition.state import IMAGE_ID, State
+from experiment_runner.competition.state import IMAGE_ID, Enrolled, State
 from experiment_runner.competition.trials import attempt_trials, levels, trials
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
@@ -29,7 +29,7 @@ class Course:
 
     Args:
         competition: as it was at the start.
-        acts: of its journal.
+        acts: of its journal; none in a run of before there were journals.
     """
 
     competition: Competition
@@ -42,7 +42,9 @@ class Course:
         Raises:
             ExperimentError: an act cannot have been.
         """
-        state = State(self.competition.season)
+        # Runs of before there were journals have no acts that admit the entrants of the file.
+        acts = [Act("", journal.ENTER, one.name, "", player=one.player) for one in self.competition.entrants]
+        state = State(self.competition.season, {one.subject: Enrolled(one) for one in acts})
         for one in self.acts:
             state.apply(one)
         return state

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from experiment_runner.cli.compete_serve import organise
+from experiment_runner.competition.course import Course
 from experiment_runner.competition.organiser import Held, open_competition
 from experiment_runner.competition.season.acts import addition, answering
 from experiment_runner.competition.season.control import Door, ask
@@ -180,3 +181,12 @@ def test_what_a_run_does_not_have_is_refused_by_name(run: Run) -> None:
     while thread.is_alive():
         run.visit(run.held, 0.01)
     assert (replies[0]["ok"], replies[0]["error"]) == (False, "the season is over, and its final is played")
+
+
+def test_a_run_of_before_there_were_journals_has_the_entrants_of_its_file(tmp_path: Path) -> None:
+    competition = parse_competition(FILE, tmp_path / "spring.toml")
+    course = Course(competition, [])
+    assert [(name, act.player) for name, act in course.entrants.items()] == [
+        (one.name, one.player) for one in competition.entrants
+    ]
+    assert len(course.trials) == len(competition.entrants) * len(competition.tasks) * competition.trials > 0
