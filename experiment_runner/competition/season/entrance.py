@@ -240,7 +240,7 @@ class _Entrance:
 
         Raises:
             Unsigned: nobody has, or the request has come before.
-        Denied: there is no such entrant, it asks too often, or the page was started since.
+            Denied: there is no such entrant, it asks too often, or the page was started since.
         """
         self._of_address.take(address_of(request))
         entrant: str = request.headers.get(ENTRANT, "")
