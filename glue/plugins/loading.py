@@ -116,7 +116,7 @@ class Trained(Wrapper):
     """
 
     def __init__(self, agent: Any, learned: bytes) -> None:
-        self.__wrapped__ = completed(agent, Agent)
+        self.__wrapped__: Any = completed(agent, Agent)
         self._learned = learned
 
     def agent_init(self, task_spec: str) -> None:

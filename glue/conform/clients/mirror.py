@@ -88,7 +88,14 @@ class MirrorAgent(_Mirror, Agent):
     def agent_end(self, reward: float) -> None:
         self.count += 1
 
-    agent_message, agent_save, agent_load = _Mirror.message, _Mirror.save, _Mirror.load
+    def agent_message(self, message: str) -> str:
+        return self.message(message)
+
+    def agent_save(self) -> bytes:
+        return self.save()
+
+    def agent_load(self, saved: bytes) -> None:
+        self.load(saved)
 
     def agent_seed(self, seed: int) -> None:
         self.seed = seed
@@ -132,7 +139,14 @@ class MirrorEnvironment(_Mirror, Environment):
             },
         }
 
-    env_message, env_save, env_load = _Mirror.message, _Mirror.save, _Mirror.load
+    def env_message(self, message: str) -> str:
+        return self.message(message)
+
+    def env_save(self) -> bytes:
+        return self.save()
+
+    def env_load(self, saved: bytes) -> None:
+        self.load(saved)
 
     def env_seed(self, seed: int) -> None:
         self.seed = seed
