@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Final
 
 import pytest
 
+from glue.system import chance, clock
 from tests.proof import size
 from tests.simulation.__main__ import many
 from tests.simulation.faults import Fault
@@ -81,8 +83,19 @@ def test_what_once_broke_a_promise_does_so_no_more(seed: int, faults: list[Fault
 
 
 def test_a_seed_is_always_the_same_run() -> None:
-    one, other = simulate(4, trace=True), simulate(4, trace=True)
+    ended = threading.Event()
 
+    def work() -> None:
+        while not ended.is_set():
+            clock.monotonic()
+            chance.random_bytes(1)
+
+    one = simulate(4, trace=True)
+    thread = threading.Thread(target=work)  # as one that an earlier test has left
+    thread.start()
+    other = simulate(4, trace=True)
+    ended.set()
+    thread.join()
     assert one.trace == other.trace
     assert one.faults == other.faults
 

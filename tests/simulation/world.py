@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from functools import partial
 from heapq import heappop, heappush
 from random import Random
+from threading import get_ident
 from typing import Any, Final
 
 from greenlet import GreenletExit, getcurrent, greenlet
@@ -207,20 +208,30 @@ class World:
 
     @contextmanager
     def entered(self, net: Any) -> Iterator[None]:
-        """Replace the functions of glue/system while the body of the `with` runs."""
+        """Replace the functions of glue/system while the body of the `with` runs.
+
+        Other threads, such as one that an earlier test has left, still get the real ones, or they would take
+        time and random bytes from the run.
+        """
         replaced: list[tuple[Any, str, Any]] = [
             (clock, "monotonic", self.monotonic),
             (clock, "sleep", self.sleep),
             (clock, "give_way", self.give_way),
             (chance, "random_bytes", self.random_bytes),
-            (spinning, "SEVERAL_CORES", False),
             (threads, "RLock", partial(_RLock, self)),
             (threads, "Event", partial(_Event, self)),
             (threads, "Thread", partial(_Thread, self)),
             *((network, name, value) for name, value in net.functions().items()),
         ]
-        with replacing(replaced):
+        here = [(owner, name, _here(value, getattr(owner, name))) for owner, name, value in replaced]
+        with replacing([*here, (spinning, "SEVERAL_CORES", False)]):
             yield
+
+
+def _here(simulated: Callable[..., Any], real: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that is `simulated` in this thread, and `real` in others."""
+    thread = get_ident()
+    return lambda *given, **more: (simulated if get_ident() == thread else real)(*given, **more)
 
 
 @contextmanager
