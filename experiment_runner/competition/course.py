@@ -131,12 +131,8 @@ class Course:
                     f"the run was begun with other {what}: put back what its competition.toml has, or choose "
                     "another directory"
                 )
-        state = self.state
-        known = {one.name: one for one in competition.entrants if state.entrants[one.name].image is None}
-        found = (
-            replace(known[name], id=one.id) if name in known else entrant_of(one)
-            for name, one in entrants.items()
-        )
+        known = {one.name: one for one in competition.entrants}
+        found = (entrant_of(one, known.get(name)) for name, one in entrants.items())
         return replace(competition, entrants=tuple(found))
 
     def planned(self, spec: TrialSpec) -> bool:

@@ -19,12 +19,12 @@ from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, R
 from glue.errors import ExperimentError
 from glue.hub.config import DEFAULT_SESSION, LegacyPort
 from glue.hub.io.listener import OpenAddress
-from glue.wire.messages import Role
+from glue.wire.messages import PLAYERS, Role
 
 GRACE_SECONDS: Final = 0.5
 """Default time in which a running episode may end before Ctrl-C takes effect."""
 
-BOTH: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
+BOTH: Final = frozenset(PLAYERS)
 """Both players."""
 
 

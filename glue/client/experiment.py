@@ -23,7 +23,19 @@ from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, Pe
 from glue.hub.config import DEFAULT_SESSION
 from glue.types import Observation, has_beside
 from glue.wire.beside import carried, readable_by_agent
-from glue.wire.messages import BESIDE, CALLS, OUTCOME, PACE, ErrorCode, Event, Kind, Message, Role, Value
+from glue.wire.messages import (
+    BESIDE,
+    CALLS,
+    OUTCOME,
+    PACE,
+    PLAYERS,
+    ErrorCode,
+    Event,
+    Kind,
+    Message,
+    Role,
+    Value,
+)
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -269,7 +281,7 @@ class RemoteExperiment(Experiment):
 
 
 _EVENTS: Final = frozenset(Event)
-_PLAYERS: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
+_PLAYERS: Final = frozenset(PLAYERS)
 
 _MAX_SENDS: Final = 8
 """Maximum number of attempts to send a request to a hub that has not received it, one per connection.
