@@ -239,6 +239,8 @@ def sign(directory: Path, pair: KeyPair) -> None:
 def check_signature(directory: Path, public: bytes) -> None:
     """Check that a competition was signed with the pair of a public key, and has not changed since.
 
+    What a seal holds of before its last change is not signed: only whoever can write there vouches for it.
+
     Raises:
         ConfigError: PyNaCl is not installed.
         ExperimentError: it was not, or the seal cannot be read or has no signature.
@@ -252,8 +254,18 @@ def check_signature(directory: Path, public: bytes) -> None:
         signature = b""
     if not signature:
         raise ExperimentError(f"{directory} is not signed: glue-compete verify can sign it")
-    if not is_signed(public, _message(found), signature):
+    with Results.open(directory) as results:
+        changed = _changed(results, _newest_part(found))
+    if changed or not is_signed(public, _message(found), signature):
         raise ExperimentError(f"{directory} was not signed with {encode(public)}, or was changed since")
+
+
+def _newest_part(found: _Seal | _EarlierSeal) -> _Seal | _EarlierSeal:
+    """Return a seal without the digests of before its last change."""
+    if isinstance(found, _Seal):
+        return replace(found, before=None)
+    last = {name: digests[-1:] for name, digests in found.verified.items()}
+    return replace(found, played=found.played[-1:], verified=last)
 
 
 def _message(found: _Seal | _EarlierSeal) -> bytes:

@@ -116,6 +116,34 @@ def test_verify_makes_changed_verdicts_right_and_seals_them(earlier: bool, store
     assert seal.broken(store) == "outcomes of trials"
 
 
+@pytest.mark.parametrize("earlier", [False, True], ids=["now", "earlier"])
+def test_a_signature_is_of_the_newest_digests_alone(earlier: bool, store: Store) -> None:
+    """Anybody can write others beside them, as of a change that a killed process has not made."""
+    pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
+    from glue.client.libzmq import new_pair
+
+    pair, path = new_pair(), store.directory / SEAL_FILE
+    if earlier:
+        path.write_text(json.dumps(EARLIER))
+    seal.sign(store.directory, pair)
+    seal.check_signature(store.directory, pair.public)
+    signed = json.loads(path.read_text())
+    EDITS["outcomes"][1](store)
+    EDITS["verdicts"][1](store)
+    if earlier:
+        (verdict,) = store.verdicts().items()
+        signed["played"].insert(0, seal._earlier_played(store))
+        signed["verified"][TRIAL].insert(0, seal._earlier_verified(store, *verdict))
+    else:
+        path.unlink()
+        seal.seal(store)
+        signed["before"] = json.loads(path.read_text())["now"]
+    path.write_text(json.dumps(signed))
+    seal.check_seal(store)
+    with pytest.raises(ExperimentError, match="or was changed since"):
+        seal.check_signature(store.directory, pair.public)
+
+
 class Killed(Exception):
     pass
 
