@@ -139,7 +139,15 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     metavar="FILE",
     help="Secret key with which to sign the results, if all are verified; see glue-keys.",
 )
-def verify(directory: Path, sign: Path | None) -> int:
+@click.option(
+    "--env",
+    "environments",
+    multiple=True,
+    metavar="NAME",
+    help="Environment that is not installed, and whose code you trust: FILE.py:CLASS, your copy of the "
+    "organiser's file, or any other name; repeat it for several.",
+)
+def verify(directory: Path, sign: Path | None, environments: tuple[str, ...]) -> int:
     """Play every recorded action again, and compare every reward and score, bit for bit."""
     from experiment_runner.competition.course import course_of
     from experiment_runner.competition.records import seal
@@ -158,7 +166,7 @@ def verify(directory: Path, sign: Path | None) -> int:
         if changed:
             say(f"{changed} were changed since they were written")
         over = set(store.outcomes())
-        problems = verify_run(store, steps, say)
+        problems = verify_run(store, steps, say, environments)
         left = set(course.trials) - over
         differs = board_differs(store)
         if differs:
@@ -241,10 +249,14 @@ def bundle(directory: Path, out: Path) -> None:
 
     These are the file, journal, seal, database, records, levels in files and boards: neither keys nor logs.
     """
+    from experiment_runner.competition.records.copies import without_place
     from experiment_runner.competition.season.bundle import bundle as write_bundle
 
-    write_bundle(directory, out)
-    say(f"whoever has {out} can verify it: glue-compete verify {out}")
+    needed = write_bundle(directory, out)
+    trusted = "".join(f" --env {without_place(name)}" for name in needed)
+    say(f"whoever has {out} can verify it: glue-compete verify {out}{trusted}")
+    for name in needed:
+        say(f"it does not hold the code of {name}: publish that, too")
 
 
 @compete.command()

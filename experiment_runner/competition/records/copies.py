@@ -15,6 +15,7 @@ from experiment_runner.plan.user_files import file_at
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import copy_of
 from glue.errors import ExperimentError
+from glue.plugins.loading import file_in
 from glue.trajectory import Run
 
 
@@ -52,9 +53,15 @@ def with_copies(spec: TrialSpec, directory: Path) -> TrialSpec:
 
 
 def without_places(run: Run) -> Run:
-    """Return the run of a recording without the places of the files whose digests it has."""
+    """Return the run of a recording without the places of its environment and of files with digests."""
     options = {name: value for name, value in run.options.items() if f"{name}_digest" not in run.options}
-    return replace(run, options=options)
+    return replace(run, environment=without_place(run.environment), options=options)
+
+
+def without_place(name: str) -> str:
+    """Return the name of an environment, in which a file has no folder."""
+    file = file_in(name)
+    return name.replace(file, Path(file).name, 1) if file else name
 
 
 def _files(environment: RoleSpec | None) -> Iterator[tuple[str, Path, str, str]]:

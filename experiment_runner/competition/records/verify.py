@@ -12,14 +12,15 @@ Only verified trials count on the final board. A trial is verified if
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from experiment_runner.competition.records.copies import with_copies, without_places
+from experiment_runner.competition.records.copies import with_copies, without_place, without_places
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.replay import Replay, passive_score, replay_of
 from experiment_runner.competition.records.seal import record_verdict, reseal_verdicts, seal
@@ -28,33 +29,44 @@ from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import EpisodeResult, ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from glue.errors import ExperimentError, GlueError
+from glue.console import one_line
+from glue.errors import ConfigError, ExperimentError, GlueError
+from glue.plugins.loading import names
 from glue.trajectory import ActionSteps, Ending, Episode, Run, TrajectoryReader
 from glue.trajectory.comparison import Outcomes, compare
 from glue.types import Action
+from glue.wire.messages import Role
 
 
 class Mismatch(ExperimentError):
     """A record and its replay, or the database, do not agree."""
 
 
-def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -> int:
+def verify(
+    store: Store, steps: Mapping[str, int], say: Callable[[str], None], environments: Iterable[str] = ()
+) -> int:
     """Replay every trial that is over, and store the verdicts; return the number of trials with a problem.
+
+    A run may come from anyone, so it cannot name code that is to be run: the user does.
 
     Args:
         store: of the run.
         steps: number of steps of each task; 0 if its episodes count.
         say: shows a line for each problem.
+        environments: names of environments that may be played besides the installed ones. A file stands for
+            one of the same name, wherever the organiser keeps that.
 
     Raises:
+        ConfigError: a trial is of another environment.
         StorageError: the run cannot be written to.
     """
+    known = {without_place(name): name for name in (*environments, *names(Role.ENVIRONMENT))}
+    specs = [_played_by(known, record.spec) for record in store.trials()]
     seal(store)
     outcomes = store.outcomes()
     problems = 0
     passive: dict[tuple[str, int], float] = {}
-    for record in store.trials():
-        spec = record.spec
+    for spec in specs:
         if spec.id not in outcomes:
             continue
         verdict = judge(store, spec, outcomes[spec.id], steps[spec.id.parts[1]], passive)
@@ -64,6 +76,20 @@ def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -
             say(f"{spec.id} does not match: {verdict.problem}")
     reseal_verdicts(store)
     return problems
+
+
+def _played_by(known: Mapping[str, str], spec: TrialSpec) -> TrialSpec:
+    """Return a trial whose environment is one of those that may be played, by their names without a place."""
+    if (environment := spec.environment) is None:
+        return spec
+    if (found := known.get(without_place(environment.name))) is None:
+        name = one_line(environment.name)
+        raise ConfigError(
+            f"{spec.id} is of the environment {name}, which is not installed, and the run names its code: "
+            f"if you trust that, add --env {name}, or name your copy of the file",
+            settings=("env",),
+        )
+    return replace(spec, environment=replace(environment, name=found))
 
 
 def judge(

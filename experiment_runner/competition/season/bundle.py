@@ -26,13 +26,18 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 from glue.files import read_regular
+from glue.plugins.loading import names
+from glue.wire.messages import Role
 
 _FILES: Final = (COMPETITION_FILE, ABOUT_FILE, JOURNAL_FILE, SEAL_FILE)
 _MOST_BYTES: Final = 2**32
 
 
-def bundle(directory: Path, out: Path) -> None:
+def bundle(directory: Path, out: Path) -> list[str]:
     """Write a bundle of a run: its file, journal, seal, database, records, copies and boards.
+
+    Returns:
+        The names of the environments that are not installed, and whose code the bundle does not hold.
 
     Raises:
         ExperimentError: the season is not closed, the run was changed since it was sealed, or a file cannot
@@ -53,11 +58,12 @@ def bundle(directory: Path, out: Path) -> None:
                 path = record_path(folder, trial)
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_flushed(path, read_regular(record_path(directory, trial), _MOST_BYTES))
-            environments = (record.spec.environment for record in store.trials())
+            environments = [one for record in store.trials() if (one := record.spec.environment) is not None]
             for name, content in copies(environments, directory).items():
                 write_flushed(folder / name, content)
             store.copy_to(folder)
         lock.release()
+    return sorted({one.name for one in environments}.difference(names(Role.ENVIRONMENT)))
 
 
 def board_differs(results: Results) -> bool:

@@ -98,7 +98,7 @@ def test_a_record_names_its_level_not_where_it_is(folder: Path, run: Callable[..
     assert (ending, steps) == (Ending.CUTOFF, 5)
 
 
-def play(store: Store, spec: TrialSpec) -> None:
+def play(store: Store, spec: TrialSpec, action: Action = STAY) -> None:
     with RecordFile(record_path(store.directory, spec.id)) as file:
         writer = ActionWriter(file.append)
         environment = RecordedEnvironment(
@@ -106,7 +106,7 @@ def play(store: Store, spec: TrialSpec) -> None:
         )
         environment.env_init()
         environment.env_start()
-        environment.env_step(STAY)
+        environment.env_step(action)
         environment.end(Ending.CUTOFF)
         writer.close()
         record_outcome(store, spec.id, TrialEnd(None, file.finish()))
@@ -130,6 +130,29 @@ def test_a_bundle_is_verified_where_the_files_of_its_levels_are_not(folder: Path
     assert {f"{SOURCES}/{path.name}": path.read_bytes() for path in found} == copies
     with Store.open(folder / "bundle") as store:
         assert verify(store, {"own": 0}, print) == 0
+
+
+def test_no_code_is_loaded_because_a_run_names_it(folder: Path) -> None:
+    """An environment in a file of the organiser's is played from the verifier's own copy of it."""
+    code = "from env_server.toys import SkeletonEnvironment\nclass World(SkeletonEnvironment): pass\n"
+    (folder / "world.py").write_text(code)
+    text = FILE.replace('"mario"', '"world.py:World"').replace('levels = ["one.txt", "two.txt"]\n', "")
+    text = text.replace("{ instance = 9 }", "{}")
+    with open_competition(
+        folder / "run", text, parse_competition(text, folder / "spring.toml"), SECRET
+    ) as store:
+        for record in store.trials():
+            play(store, record.spec, Action([0]))
+    assert bundle(folder / "run", folder / "bundle") == [f"{folder}/world.py:World"]
+    (folder / "world.py").write_text(f"open({str(folder / 'loaded')!r}, 'w')\n{code}")
+    (folder / "copy").mkdir()
+    (folder / "copy" / "world.py").write_text(code)
+    with Store.open(folder / "bundle") as store:
+        for others in [], ["mario"], ["world.py:Other"]:
+            with pytest.raises(ConfigError, match=r"alice/own/0 .*/world\.py:World, which is not installed"):
+                verify(store, {"own": 0}, print, others)
+        assert verify(store, {"own": 0}, print, [f"{folder}/copy/world.py:World"]) == 0
+    assert not (folder / "loaded").exists()
 
 
 def test_a_bundle_has_no_other_level_than_was_played(folder: Path) -> None:
