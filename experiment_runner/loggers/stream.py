@@ -224,7 +224,9 @@ def _send(results: Results, logger: Logger, position: _Position, sent: dict[str,
             continue
         key = hashlib.sha256(f"{position.stream}/{spec.id}".encode()).hexdigest()[:16]
         source = Source(key, results.directory.absolute().name, spec.id, settings_of(spec, joined))
-        points = points_of(results, spec.id, after, position.began)
+        # Without what was recorded meanwhile: nothing would be left with which to say that the trial is over.
+        found = points_of(results, spec.id, after, position.began)
+        points = [point for point in found if point.episode <= record.done]
         for _, part in groupby(points, lambda point: (point.episode - 1) // _TOGETHER):
             together = list(part)
             last = together[-1].episode

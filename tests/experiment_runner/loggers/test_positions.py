@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from experiment_runner.loggers import LOGGERS
-from experiment_runner.loggers.stream import points_of, stream
+from experiment_runner.loggers.stream import Logger, Point, Source, _Position, _send, points_of, stream
 from experiment_runner.store.layout import DirectoryTaken, RunLock, remove_run
 from experiment_runner.store.results import Results
 from glue.errors import ConfigError, ExperimentError
@@ -88,3 +89,29 @@ def test_points_of_later_episodes_are_those_of_all(run: Path) -> None:
     assert later == points[4:]
     assert points[0].time > 1000.0
     assert sum(point.values["episode/steps"] for point in points) == points[-1].step
+
+
+class Written(Logger):
+    """Notes the episodes of each call, and whether it was the last of its trial."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[list[int], bool]] = []
+
+    def write(self, source: Source, points: Sequence[Point], finished: bool) -> bool:
+        self.calls.append(([point.episode for point in points], finished))
+        return True
+
+    def close(self) -> None:
+        pass
+
+
+def test_the_last_episode_ends_its_trial_also_if_it_is_recorded_meanwhile(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, sent = Written(), _Position("a", 1000.0, {})
+    with Results.open(run) as results:
+        (trial,) = results.trials()
+        for before in (trial._replace(done=6), trial):
+            monkeypatch.setattr(results, "trials", lambda seen=before: [seen])
+            assert list(_send(results, written, sent, sent.episodes)) == [trial.spec.id]
+    assert written.calls == [([1, 2, 3, 4, 5, 6], False), ([7, 8, 9], True)]
