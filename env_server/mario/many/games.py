@@ -54,7 +54,6 @@ class Lane:
     reward: Real
     terminated: Flag
     truncated: Flag
-    size: Int  # bytes of the view
     info: Annotated[npt.NDArray[np.int64], np.int64, 5]
     final_info: Annotated[npt.NDArray[np.int64], np.int64, 5]
 
@@ -347,7 +346,7 @@ def _advance(
                     level = levels[lane.place]
                 # The observation of a terminal step is the previous one, as in the original.
                 if begins or not lane.terminated:
-                    lane.size = write_view(world, level, setup.view_number, cells[i], reals[i])
+                    write_view(world, level, setup.view_number, cells[i], reals[i])
             if setup.copies[0] != 0:
                 _copy_rows(setup.copies[0], cells.ctypes.data, first, last, cells.shape[1])
                 _copy_rows(setup.copies[1], reals.ctypes.data, first, last, 4 * reals.shape[1])
