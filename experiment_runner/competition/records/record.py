@@ -10,9 +10,12 @@ import os
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from experiment_runner.competition.settings import is_name
+from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import RECORDS
 from glue.closing import Closing
+from glue.errors import ExperimentError
 from glue.files import create_regular, open_regular
 
 _MOST_BYTES: Final = 2**32
@@ -64,7 +67,14 @@ class RecordFile(Closing):
 
 
 def record_path(directory: Path, trial_id: str) -> Path:
-    """Return the path of the record of a trial."""
+    """Return the path of the record of a trial.
+
+    Raises:
+        ExperimentError: no trial of a competition has this id, which could lead out of the directory.
+    """
+    entrant, task, _ = TrialId(trial_id).parts
+    if not (is_name(entrant) and is_name(task)):
+        raise ExperimentError(f"{trial_id!r:.80} is not the id of a trial of a competition")
     return directory / RECORDS / f"{trial_id}.traj"
 
 

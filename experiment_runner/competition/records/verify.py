@@ -26,6 +26,7 @@ from experiment_runner.competition.records.replay import Replay, passive_score, 
 from experiment_runner.competition.records.seal import record_verdict, reseal_verdicts, seal
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.records import EpisodeResult, ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
@@ -58,10 +59,14 @@ def verify(
 
     Raises:
         ConfigError: a trial is of another environment.
+        ExperimentError: a trial is of no task of the competition.
         StorageError: the run cannot be written to.
     """
     known = {without_place(name): name for name in (*environments, *names(Role.ENVIRONMENT))}
     specs = [_played_by(known, record.spec) for record in store.trials()]
+    for spec in specs:
+        if spec.id.parts[1] not in steps:
+            raise ExperimentError(f"{spec.id!s:.80} is of a task that {COMPETITION_FILE} does not have")
     seal(store)
     outcomes = store.outcomes()
     problems = 0

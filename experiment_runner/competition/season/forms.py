@@ -76,7 +76,7 @@ def boards_as_json(results: Results, course: Course) -> str:
         ExperimentError: the run cannot be read, or was changed since it was sealed.
     """
     found: dict[str, SeasonBoard | Standings] = {}
-    if course.competition.season is not None:
+    if course.competition.season is not None and course.acts:
         found["season"] = season_board(results, course, course.acts[-1].when, ORGANISER)
     if course.competition.testing:
         found["standings"] = standings(results, course)

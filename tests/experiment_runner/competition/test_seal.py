@@ -13,6 +13,7 @@ import pytest
 from experiment_runner.competition.records import journal, seal
 from experiment_runner.competition.records.journal import ANNOUNCE, EVERYBODY, act
 from experiment_runner.competition.records.verify import verify
+from experiment_runner.competition.season.bundle import bundle
 from experiment_runner.competition.settings import parse_competition
 from experiment_runner.competition.trials import trials
 from experiment_runner.store.layout import SEAL_FILE
@@ -142,6 +143,37 @@ def test_a_signature_is_of_the_newest_digests_alone(earlier: bool, store: Store)
     seal.check_seal(store)
     with pytest.raises(ExperimentError, match="or was changed since"):
         seal.check_signature(store.directory, pair.public)
+
+
+@pytest.mark.parametrize(
+    ("trial", "why"),
+    [
+        ("../../ann/walk/0", "is not the id of"),
+        ("/ann/walk/0", "is not the id of"),
+        ("../walk/0", "is not the id of"),
+        ("ann/other/0", "is of a task that"),
+        ("ann", "is not the id of"),
+    ],
+)
+def test_a_trial_with_an_id_that_none_has_leads_nowhere(trial: str, why: str, store: Store) -> None:
+    directory = store.directory
+    update(store, f"UPDATE trials SET id = '{trial}'")
+    (directory / SEAL_FILE).unlink()
+    seal.seal(store)
+    with pytest.raises(ExperimentError, match=why):
+        verify(store, {"walk": 0}, lambda line: None)
+
+
+def test_a_bundle_holds_no_file_that_a_run_only_names(store: Store) -> None:
+    directory = store.directory
+    (directory.parent / "0.traj").write_bytes(b"not of this run")
+    update(store, "UPDATE trials SET id = '../../0'")
+    (directory / SEAL_FILE).unlink()
+    seal.seal(store)
+    store.close()
+    with pytest.raises(ExperimentError, match="is not the id of"):
+        bundle(directory, directory.parent / "bundle")
+    assert not (directory.parent / "bundle").exists()
 
 
 class Killed(Exception):

@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.competition.season.board import ORGANISER
-from experiment_runner.competition.season.forms import GRADES, as_text
+from experiment_runner.competition.season.forms import GRADES, as_text, boards_as_json
+from experiment_runner.store.store import Store
 from tests.experiment_runner.competition import contest
 from tests.experiment_runner.competition.season.inside import FILE, Season
+from tests.experiment_runner.competition.season.made import FILE as MADE
 from tests.experiment_runner.competition.season.made import Made
 
 WITH_TESTING = (
@@ -68,6 +70,13 @@ def test_a_season_is_closed_tested_bundled_and_verified(tmp_path: Path) -> None:
     found["season"]["entrants"][0]["score"] += 1
     board.write_text(json.dumps(found))
     assert "board.json is not the board" in compete(tmp_path, "verify", "bundle")
+
+
+def test_a_journal_without_acts_has_no_board(tmp_path: Path) -> None:
+    """As in a bundle whose journal somebody has emptied."""
+    made = Made(text="\n".join(line for line in MADE.splitlines() if not line.startswith("final")))
+    with Store.create(tmp_path / "run", [], {}) as store:
+        assert boards_as_json(store, made.course) == "{}\n"
 
 
 GRADES_OF = (("ann", 2.5), ("bob", float("nan")), ("cy", 2.5), ("dan", 1.0))
