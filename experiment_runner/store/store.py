@@ -271,6 +271,8 @@ class Store(Results):
     def adopt(self, results: Results, trial_id: str, as_id: str) -> None:
         """Copy all records of a trial of another run to a trial of this run, replacing its own.
 
+        They are flushed to the disk: the other run may be removed then.
+
         Raises:
             ExperimentError: they cannot be read or written; then nothing is copied.
         """
@@ -290,6 +292,7 @@ class Store(Results):
         players = [player for player in results.players() if player.trial_id == trial_id]
         outcome, verdict = results.outcomes().get(trial_id), results.verdicts().get(trial_id)
         write = self._connection.executemany
+        self._flush_commits(True)
         with self._writing(), transaction(self._connection):
             for table in _TABLES:
                 self._connection.execute(f"DELETE FROM {table} WHERE trial = ?", (key,))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from experiment_runner.slurm import array
 from experiment_runner.slurm.array import (
     array_script,
     check_folder,
@@ -59,6 +60,21 @@ def test_parts_hold_the_unfinished_trials_with_their_progress(begun: Path) -> No
     }
     assert held["0"]["sarsa/mines/2"] == contents(begun)["sarsa/mines/2"]
     assert list(runs_under(begun.parent)) == [begun]  # the parts are not listed
+
+
+def test_a_part_is_removed_when_its_results_are_on_the_disk(
+    begun: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    removed = []
+    with Store.open(begun) as store:
+        divide(store, 1000)
+
+        def remove(path: Path) -> None:
+            assert store._connection.execute("PRAGMA synchronous").fetchone() == (2,), "a power loss loses it"
+            removed.append(path)
+
+        monkeypatch.setattr(array, "remove_run", remove)
+        assert gather(store) == len(removed) == 3
 
 
 def test_what_the_parts_have_done_is_the_run_s(begun: Path, whole_run: Path, tmp_path: Path) -> None:
