@@ -20,10 +20,11 @@ from experiment_runner.executors.opening import recorded_plan
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.limits import BUDGETS, COUNTS, PACE, PLAYERS, REMOTE, Backend
 from experiment_runner.plan.metrics import MetricsPlan, Summary, check_extras, parse_extras
-from experiment_runner.plan.plan import Plan, RoleSweep, absolute, budget, check_options, class_files
+from experiment_runner.plan.plan import Plan, RoleSweep, absolute, budget, check_options
 from experiment_runner.plan.toml import naming_lines, read
-from experiment_runner.plan.user_files import with_digests
+from experiment_runner.plan.user_files import named_code, with_digests
 from experiment_runner.store.database import reported
+from glue.console import one_line
 from glue.errors import ConfigError, ExperimentError
 from glue.hub.config import DEFAULT_SESSION, LegacyPort, check_session, check_url
 from glue.options import parameters, parse_assignments
@@ -192,17 +193,17 @@ def _pinned(role: Role, sweeps: Iterable[RoleSweep]) -> tuple[RoleSweep, ...]:
 
 
 def ask_for_trust(directory: Path, plan: Plan) -> None:
-    """Ask before executing the files that a run directory names: the directory may come from anyone.
+    """Ask before executing the code that a run directory names: the directory may come from anyone.
 
     Raises:
         ConfigError: the answer is no, or standard input is not a terminal.
     """
-    files = ", ".join(class_files([*plan.agents, *plan.environments]))
-    if not files:
+    code = one_line(", ".join(named_code([*plan.agents, *plan.environments])))
+    if not code:
         return
     if not sys.stdin.isatty():
-        raise ConfigError(f"{directory} would execute {files}: if you trust it, add --trust")
-    if not click.confirm(f"{directory} will execute {files}. Do you trust it?", err=True):
+        raise ConfigError(f"{directory} would execute {code}: if you trust it, add --trust")
+    if not click.confirm(f"{directory} will execute {code}. Do you trust it?", err=True):
         raise ConfigError(f"{directory} is not trusted, and was left as it is")
 
 

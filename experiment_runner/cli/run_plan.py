@@ -24,7 +24,8 @@ from experiment_runner.executors.recording import recorded
 from experiment_runner.executors.run import run_trials
 from experiment_runner.plan.limits import PLAYERS
 from experiment_runner.plan.metrics import extra_of
-from experiment_runner.plan.plan import Plan, class_files
+from experiment_runner.plan.plan import Plan
+from experiment_runner.plan.user_files import named_code
 from experiment_runner.report.overview import date
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.report.tables import counted, summarize, tabulate, terminal_width
@@ -218,7 +219,7 @@ def resume_options(store: Store, config: RunConfig) -> list[str]:
     if config.placement.check_actions:
         command.append("--check-actions")
     command += [f"--ask={question}" for question in config.questions]
-    if class_files([role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]):
+    if named_code([role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]):
         command.append("--trust")
     return command
 

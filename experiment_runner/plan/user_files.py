@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import sys
 import sysconfig
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, TypeVar
 import glue
 from experiment_runner.plan.plan import RoleSpec, RoleSweep, class_files
 from glue.options import Value
-from glue.plugins.loading import PACKAGES, all_modules
+from glue.plugins.loading import PACKAGES, all_modules, file_in, is_installed
 
 _LOADED_BEFORE: Final = frozenset(sys.modules)
 _MAX_COPY: Final = 2**24
@@ -84,6 +84,24 @@ def file_at(path: Path) -> UserFile:
         return UserFile(digest, file.read())
 
 
+def named_code(players: Sequence[RoleSpec | RoleSweep | None]) -> list[str]:
+    """Return what may execute code because these players name it, without duplicates.
+
+    These are classes that are not installed, shown by their file if they have one, and the files that options
+    name, such as a policy or Soar's productions. A file whose digest is an option, too, holds data.
+    """
+    known = [player for player in players if player is not None]
+    installed = {name for name in {player.name for player in known} if is_installed(name)}
+    found: list[str] = []
+    for player in known:
+        if player.name not in installed:
+            found.append(file_in(player.name) or player.name)
+        options = player.options
+        others = [value for name, value in options.items() if f"{name}_digest" not in options]
+        found += map(str, _files_in(others))
+    return list(dict.fromkeys(found))
+
+
 def _modules() -> Iterator[Path]:
     for name, module in all_modules():
         file = getattr(module, "__file__", None)
@@ -112,10 +130,15 @@ def _others() -> frozenset[Path]:
 
 def _named_by_options(players: Sequence[RoleSpec | RoleSweep]) -> Iterator[Path]:
     for player in players:
-        for value in player.options.values():
-            for one in value if isinstance(value, tuple) else (value,):
-                if isinstance(one, str) and _is_file(one):
-                    yield Path(one).resolve()
+        yield from _files_in(player.options.values())
+
+
+def _files_in(values: Iterable[Value | tuple[Value, ...]]) -> Iterator[Path]:
+    """Yield the path of each file that is named by a value, or by one of its parts."""
+    for value in values:
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, str) and _is_file(one):
+                yield Path(one).resolve()
 
 
 def _is_file(name: str) -> bool:

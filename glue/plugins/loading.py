@@ -48,6 +48,7 @@ _MAX_LEARNED: Final = 2**30
 
 _ADAPTERS: Final = {Role.AGENT: "glue.agent_adapters", Role.ENVIRONMENT: "glue.environment_adapters"}
 _GYMNASIUM_ID: Final = re.compile(r"([\w.-]+/)?[\w.-]+-v\d+")
+_WORD: Final = re.compile(r"([\w-]+/)?[\w-]+")
 _GROUPS: Final = {Role.AGENT: "glue.agents", Role.ENVIRONMENT: "glue.environments"}
 
 
@@ -205,6 +206,18 @@ def find(role: Role, name: str) -> type:
         )
     module = _import_file(Path(source)) if source.endswith(".py") else import_user_module(source)
     return _class_of(module, attribute, source)
+
+
+def is_installed(name: str) -> bool:
+    """Return whether a name leads to installed players alone: one of ours, or `adapter:NAME` of one word.
+
+    Any other may lead to code of whoever wrote the name, as `module:Class` to a file in this folder.
+    """
+    prefix, _, rest = name.partition(":")
+    adapters = {point.name for group in _ADAPTERS.values() for point in entry_points(group)}
+    return any(name in names(role) for role in _GROUPS) or (
+        prefix in adapters and _WORD.fullmatch(rest) is not None
+    )
 
 
 def short_name(name: str) -> str:

@@ -32,11 +32,10 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.console import one_line
 from glue.errors import ConfigError, ExperimentError, GlueError
-from glue.plugins.loading import names
+from glue.plugins.loading import is_installed
 from glue.trajectory import ActionSteps, Ending, Episode, Run, TrajectoryReader
 from glue.trajectory.comparison import Outcomes, compare
 from glue.types import Action
-from glue.wire.messages import Role
 
 
 class Mismatch(ExperimentError):
@@ -62,8 +61,13 @@ def verify(
         ExperimentError: a trial is of no task of the competition.
         StorageError: the run cannot be written to.
     """
-    known = {without_place(name): name for name in (*environments, *names(Role.ENVIRONMENT))}
-    specs = [_played_by(known, record.spec) for record in store.trials()]
+    given = {without_place(name): name for name in environments}
+    trials = [record.spec for record in store.trials()]
+    known = {
+        name: name if is_installed(name) else given.get(without_place(name))
+        for name in {spec.environment.name for spec in trials if spec.environment is not None}
+    }
+    specs = [_played_by(known, spec) for spec in trials]
     for spec in specs:
         if spec.id.parts[1] not in steps:
             raise ExperimentError(f"{spec.id!s:.80} is of a task that {COMPETITION_FILE} does not have")
@@ -83,11 +87,11 @@ def verify(
     return problems
 
 
-def _played_by(known: Mapping[str, str], spec: TrialSpec) -> TrialSpec:
-    """Return a trial whose environment is one of those that may be played, by their names without a place."""
+def _played_by(known: Mapping[str, str | None], spec: TrialSpec) -> TrialSpec:
+    """Return a trial of the environment that is to be played by its name; None: none is."""
     if (environment := spec.environment) is None:
         return spec
-    if (found := known.get(without_place(environment.name))) is None:
+    if (found := known[environment.name]) is None:
         name = one_line(environment.name)
         raise ConfigError(
             f"{spec.id} is of the environment {name}, which is not installed, and the run names its code: "

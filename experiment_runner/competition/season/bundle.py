@@ -26,8 +26,7 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 from glue.files import read_regular
-from glue.plugins.loading import names
-from glue.wire.messages import Role
+from glue.plugins.loading import is_installed
 
 _FILES: Final = (COMPETITION_FILE, ABOUT_FILE, JOURNAL_FILE, SEAL_FILE)
 _MOST_BYTES: Final = 2**32
@@ -63,7 +62,7 @@ def bundle(directory: Path, out: Path) -> list[str]:
                 write_flushed(folder / name, content)
             store.copy_to(folder)
         lock.release()
-    return sorted({one.name for one in environments}.difference(names(Role.ENVIRONMENT)))
+    return sorted(name for name in {one.name for one in environments} if not is_installed(name))
 
 
 def board_differs(results: Results) -> bool:

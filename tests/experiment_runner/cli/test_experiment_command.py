@@ -333,15 +333,17 @@ def test_class_in_a_file_is_found_from_another_directory(
     assert (result.exception, result.return_value) == (None, 0)
 
 
-def test_resume_runs_code_that_the_run_names_only_if_it_is_trusted() -> None:
-    Path("lazy.py").write_text(LAZY)
-    command = ("--env", "mines", "--agent", "lazy.py:Lazy", "--max-steps", "9", "--episodes", "2")
+@pytest.mark.parametrize("name", ["lazy.py:Lazy", "idle:Lazy"])
+def test_resume_runs_code_that_the_run_names_only_if_it_is_trusted(name: str) -> None:
+    file = Path(name.partition(":")[0]).with_suffix(".py")
+    file.write_text(LAZY)
+    command = ("--env", "mines", "--agent", name, "--max-steps", "9", "--episodes", "2")
     assert invoke(*command, "--in-process", "--out", "run").return_value == 0
-    Path("lazy.py").write_text("raise SystemExit('this was run')")
+    file.write_text("raise SystemExit('this was run')")
     result = invoke("--resume", "run", "--in-process")
     assert isinstance(result.exception, ConfigError)
-    assert str(Path("lazy.py").absolute()) in str(result.exception)
-    assert "--trust" in str(result.exception)
+    shown = str(file.absolute()) if name.startswith("lazy") else name
+    assert f"run would execute {shown}: if you trust it, add --trust" in str(result.exception)
 
 
 def test_finished_trial_that_an_earlier_version_left_as_failed_is_mended_by_resume() -> None:

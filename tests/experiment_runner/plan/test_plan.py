@@ -14,6 +14,7 @@ from experiment_runner.cli.make_plan import make_plan
 from experiment_runner.plan.file import dump_plan, load_plan, parse_plan
 from experiment_runner.plan.limits import PLAYERS
 from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, describe, differences
+from experiment_runner.plan.user_files import named_code
 from glue.errors import ConfigError, ExperimentError
 
 SMALL = """
@@ -302,3 +303,32 @@ def test_description_lists_every_trial_with_its_seed() -> None:
     remote = describe(Plan(episodes=1, max_steps=9))
     assert "cut off after 9 steps" in remote
     assert "agents        connects from outside" in remote
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "code"),
+    [
+        ("mario", {"level_seed": 3, "world": "7"}, []),
+        ("gymnasium:glue/InfiniteMario-v0", {}, []),
+        ("gymnasium:theirs:glue/InfiniteMario-v0", {}, ["gymnasium:theirs:glue/InfiniteMario-v0"]),
+        ("pettingzoo:theirs.game", {}, ["pettingzoo:theirs.game"]),
+        ("theirs:Class", {}, ["theirs:Class"]),
+        ("theirs.py:Class", {}, ["theirs.py"]),
+        ("mario", {"level": "FILE", "level_digest": "0"}, []),
+        ("soar", {"productions": "FILE"}, ["FILE"]),
+        ("sb3", {"policy": ("none.zip", "FILE")}, ["FILE"]),
+    ],
+)
+def test_code_is_what_is_not_installed_and_files_without_a_digest(
+    name: str,
+    options: dict[str, Any],
+    code: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("FILE").touch()
+    player = RoleSweep(name, options, "x")
+    assert named_code([player, None, player]) == [
+        str(tmp_path / one) if one == "FILE" else one for one in code
+    ]
