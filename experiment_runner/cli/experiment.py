@@ -207,7 +207,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     help="Continue a run; more --episodes, --steps or --trials extend it.",
 )
 @click.option(
-    "--trust", is_flag=True, help="Do not ask before executing the code that the run of --resume names."
+    "--trust", is_flag=True, help="Do not ask before running the code that the run of --resume names."
 )
 @click.option(
     "--any-reward",

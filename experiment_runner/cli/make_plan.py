@@ -193,7 +193,7 @@ def _pinned(role: Role, sweeps: Iterable[RoleSweep]) -> tuple[RoleSweep, ...]:
 
 
 def ask_for_trust(directory: Path, plan: Plan) -> None:
-    """Ask before executing the code that a run directory names: the directory may come from anyone.
+    """Ask before running code, or asking servers, that a run directory names: it may come from anyone.
 
     Raises:
         ConfigError: the answer is no, or standard input is not a terminal.
@@ -202,8 +202,8 @@ def ask_for_trust(directory: Path, plan: Plan) -> None:
     if not code:
         return
     if not sys.stdin.isatty():
-        raise ConfigError(f"{directory} would execute {code}: if you trust it, add --trust")
-    if not click.confirm(f"{directory} will execute {code}. Do you trust it?", err=True):
+        raise ConfigError(f"{directory} would run or ask {code}: if you trust it, add --trust")
+    if not click.confirm(f"{directory} will run or ask {code}. Do you trust it?", err=True):
         raise ConfigError(f"{directory} is not trusted, and was left as it is")
 
 

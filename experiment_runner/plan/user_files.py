@@ -85,10 +85,11 @@ def file_at(path: Path) -> UserFile:
 
 
 def named_code(players: Sequence[RoleSpec | RoleSweep | None]) -> list[str]:
-    """Return what may execute code because these players name it, without duplicates.
+    """Return what these players name that may do harm here, without duplicates: to be trusted by the user.
 
-    These are classes that are not installed, shown by their file if they have one, and the files that options
-    name, such as a policy or Soar's productions. A file whose digest is an option, too, holds data.
+    These are classes that are not installed, shown by their file if they have one; files that options name,
+    such as a policy or Soar's productions, which may execute code; and addresses in options, whose owners
+    would be sent observations, and the user's key. A file whose digest is an option, too, holds data.
     """
     known = [player for player in players if player is not None]
     installed = {name for name in {player.name for player in known} if is_installed(name)}
@@ -97,8 +98,9 @@ def named_code(players: Sequence[RoleSpec | RoleSweep | None]) -> list[str]:
         if player.name not in installed:
             found.append(file_in(player.name) or player.name)
         options = player.options
-        others = [value for name, value in options.items() if f"{name}_digest" not in options]
-        found += map(str, _files_in(others))
+        for one in _texts_in(value for name, value in options.items() if f"{name}_digest" not in options):
+            if _is_file(one) or "://" in one:
+                found.append(one if "://" in one else str(Path(one).resolve()))
     return list(dict.fromkeys(found))
 
 
@@ -130,15 +132,12 @@ def _others() -> frozenset[Path]:
 
 def _named_by_options(players: Sequence[RoleSpec | RoleSweep]) -> Iterator[Path]:
     for player in players:
-        yield from _files_in(player.options.values())
+        yield from (Path(one).resolve() for one in _texts_in(player.options.values()) if _is_file(one))
 
 
-def _files_in(values: Iterable[Value | tuple[Value, ...]]) -> Iterator[Path]:
-    """Yield the path of each file that is named by a value, or by one of its parts."""
+def _texts_in(values: Iterable[Value | tuple[Value, ...]]) -> Iterator[str]:
     for value in values:
-        for one in value if isinstance(value, tuple) else (value,):
-            if isinstance(one, str) and _is_file(one):
-                yield Path(one).resolve()
+        yield from (one for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, str))
 
 
 def _is_file(name: str) -> bool:

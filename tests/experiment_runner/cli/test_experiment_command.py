@@ -343,7 +343,7 @@ def test_resume_runs_code_that_the_run_names_only_if_it_is_trusted(name: str) ->
     result = invoke("--resume", "run", "--in-process")
     assert isinstance(result.exception, ConfigError)
     shown = str(file.absolute()) if name.startswith("lazy") else name
-    assert f"run would execute {shown}: if you trust it, add --trust" in str(result.exception)
+    assert f"run would run or ask {shown}: if you trust it, add --trust" in str(result.exception)
 
 
 def test_finished_trial_that_an_earlier_version_left_as_failed_is_mended_by_resume() -> None:

@@ -317,9 +317,10 @@ def test_description_lists_every_trial_with_its_seed() -> None:
         ("mario", {"level": "FILE", "level_digest": "0"}, []),
         ("soar", {"productions": "FILE"}, ["FILE"]),
         ("sb3", {"policy": ("none.zip", "FILE")}, ["FILE"]),
+        ("chat", {"model": "m", "url": "https://theirs.example/v1"}, ["https://theirs.example/v1"]),
     ],
 )
-def test_code_is_what_is_not_installed_and_files_without_a_digest(
+def test_what_a_run_names_may_do_harm_unless_it_is_installed_or_has_a_digest(
     name: str,
     options: dict[str, Any],
     code: list[str],
