@@ -192,8 +192,9 @@ class Link:
     def _welcome(self, message: Message) -> None:
         scalars: Any = message.scalars
         _, _, heartbeat, timeout, max_body, *_ = scalars
-        self._heartbeat = min(max(heartbeat, 0.01), 60.0)
-        self._timeout = max(timeout, self._heartbeat)
+        # In this order, what is no number becomes the least.
+        self._heartbeat = min(60.0, max(0.01, heartbeat))
+        self._timeout = max(self._heartbeat, timeout)
         self._max_body = min(max_body, MAX_BODY)
         self._transport.wait_at_most(self._heartbeat)
         self._known = True

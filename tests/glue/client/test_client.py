@@ -107,6 +107,16 @@ def test_a_hub_that_has_answered_may_be_away_for_longer_than_the_time_allowed() 
     greet(hub, {"default": ScriptedAgent()}, wait=30.0)
 
 
+@pytest.mark.parametrize("seconds", [float("nan"), float("inf"), float("-inf"), 0.0])
+def test_a_hub_whose_times_are_none_is_listened_to_all_the_same(seconds: float) -> None:
+    def hub(hub: Dialogue) -> Script:
+        hello = yield Kind.HELLO
+        hub.say(Kind.WELCOME, hello.seq, 1, False, seconds, seconds, 10_000)
+        yield Kind.HEARTBEAT
+
+    greet(hub, {"default": ScriptedAgent()})
+
+
 def test_a_client_that_hears_a_heartbeat_of_the_hub_sends_none_of_its_own() -> None:
     def hub(hub: Dialogue) -> Script:
         for second in range(1, 6):
