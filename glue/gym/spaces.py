@@ -380,7 +380,7 @@ def read_spaces(spec: TaskSpec) -> tuple[SpaceLike, SpaceLike]:
     try:
         layout = json.loads(text)
         return (_read(layout["observation"], spec.observations), _read(layout["action"], spec.actions))
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise ConfigError(
             f"the layout in the task spec's EXTRA cannot be read ({type(error).__name__}): {text:.60}"
         ) from None
@@ -437,6 +437,8 @@ class _Reader:
 
 
 def _read(layout: Any, space: Space) -> SpaceLike:
+    if not np.isfinite([range_.ends for _, range_ in space.ints.runs]).all():
+        raise ValueError("an int of a layout has both bounds")
     reader = _Reader(space)
     found = _read_part(layout, reader)
     reader.finish()
@@ -458,7 +460,8 @@ def _read_part(layout: Any, reader: _Reader) -> SpaceLike:
             return spaces.Discrete(high - low + 1, start=low, **other)
         case "MultiDiscrete":
             low, high = reader.take(INT, _shape(described)).astype(np.int64)
-            return spaces.MultiDiscrete(high - low + 1, dtype=_integers(described[1]), start=low)
+            dtype = _integers(described[1])
+            return spaces.MultiDiscrete(_cast(high - low + 1, dtype), dtype=dtype, start=_cast(low, dtype))
         case "MultiBinary":
             shape = _shape(described)
             reader.take(INT, shape)
@@ -483,7 +486,17 @@ def _read_box(described: Any, reader: _Reader) -> SpaceLike:
         return spaces.Box(*(_bytes(bound, shape) for bound in (low, high)), shape, np.uint8)
     run, dtype = (DOUBLE, np.dtype(name)) if name in FLOATS else (INT, _integers(name))
     low, high = reader.take(run, shape)
+    if run == INT:
+        return spaces.Box(_cast(low, dtype), _cast(high, dtype), shape, dtype.type)
     return spaces.Box(low.astype(dtype), high.astype(dtype), shape, dtype.type)
+
+
+def _cast(numbers: npt.NDArray[Any], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
+    """Return whole numbers as another type, which has to hold them."""
+    cast = numbers.astype(np.int64).astype(dtype)
+    if (cast != numbers).any():
+        raise ValueError(f"{dtype} holds other numbers than the ranges")
+    return cast
 
 
 def _bytes(bound: Any, shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:

@@ -198,12 +198,14 @@ def test_task_specs_without_a_layout_have_plain_spaces(text: str, expected: Any)
     + [f'{{"observation":{part},"action":{{"Discrete":"int64"}}}}' for part in (
         '{"Box":[[-1],"float32"]}', '{"Box":[[4000000000],"float32"]}', '{"Discrete":"float32"}',
         '{"MultiDiscrete":[[7],"int64"]}', '{"Dict":{}}', '{"Text":[3]}', '{"MultiBinary":[[true],"int8"]}',
+        f'{{"Box":[[{10**30}],"float32"]}}', '{"Discrete":"int8"}', '{"Box":[[1],"int8"]}',
+        '{"MultiDiscrete":[[1],"int8"]}',
     )],
 )  # fmt: skip
 def test_a_damaged_layout_is_refused(layout: str) -> None:
     spec = parse_task_spec(
-        "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 3) ACTIONS INTS (0 1)"
-        f" REWARDS (0 1) EXTRA LAYOUT {layout}"
+        "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 300) "
+        f"ACTIONS INTS (0 1) REWARDS (0 1) EXTRA LAYOUT {layout}"
     )
     if layout:
         with pytest.raises(GlueError):
@@ -211,3 +213,13 @@ def test_a_damaged_layout_is_refused(layout: str) -> None:
     else:
         with pytest.raises(ConfigError, match="cannot be read"):
             read_spaces(parse_task_spec(f"{spec} LAYOUT {{"))
+
+
+def test_a_layout_has_no_ints_without_bounds() -> None:
+    layout = '{"observation":{"Discrete":"int64"},"action":{"Discrete":"int64"}}'
+    spec = parse_task_spec(
+        "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (NEGINF POSINF) "
+        f"ACTIONS INTS (0 1) REWARDS (0 1) EXTRA LAYOUT {layout}"
+    )
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_spaces(spec)
