@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act
-from experiment_runner.competition.settings import Season, changed
+from experiment_runner.competition.settings import Season, changed, is_name
 from glue.errors import ExperimentError
 
 IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
@@ -180,6 +180,10 @@ class State:
         """
         self.count += 1
         match one.act:
+            case journal.ENTER | journal.ADD | journal.ENROL if not (
+                is_name(one.subject) and one.alias.isprintable() and "/" not in one.alias
+            ):
+                raise ExperimentError(f"the journal admits {one.subject!r:.80}, which cannot be a name")
             case journal.ADD | journal.ENROL if one.subject in self.entrants:
                 raise ExperimentError(f"the journal admits {one.subject:.80} twice")
             case journal.ENTER | journal.ADD | journal.ENROL:
