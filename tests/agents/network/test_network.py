@@ -130,3 +130,11 @@ def test_a_missing_or_damaged_file_is_refused(tmp_path: Path, content: bytes | N
         path.write_bytes(content)
     with pytest.raises(ConfigError, match="policy"):
         NetworkAgent(policy=str(path))
+
+
+def test_a_file_with_damaged_bytes_is_refused(policy: Path) -> None:
+    whole = policy.read_bytes()
+    for at in range(60, 260, 20):
+        policy.write_bytes(whole[:at] + b"\xff" * 8 + whole[at + 8 :])
+        with pytest.raises(ConfigError, match="policy"):
+            load(str(policy))
