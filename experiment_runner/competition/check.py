@@ -10,10 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Used
+from experiment_runner.competition.match import Forfeited, Match, Used
 from experiment_runner.competition.settings import Competition, Entrant, Limits
 from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.trials import public_trial
+from experiment_runner.competition.worker import executor
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.store.database import reported
@@ -48,11 +49,10 @@ def check_entrants(competition: Competition, directory: Path, say: Callable[[str
         lock = RunLock(directory)
     failed = 0
     try:
-        environments = [task.env for task in competition.tasks]
-        with LocalExecutor(1, MODULE, REPORTS, warm=environments) as executor:
+        with executor(1, competition.tasks) as workers:
             for entrant in competition.entrants:
                 report = directory / entrant.name / "report.txt"
-                problem, lines = _checked(competition, entrant, directory, executor)
+                problem, lines = _checked(competition, entrant, directory, workers)
                 with reported(f"cannot write to {report.parent}"):
                     write_flushed(report, "\n".join(lines) + "\n")
                 failed += problem is not None and entrant.key is None
@@ -64,7 +64,7 @@ def check_entrants(competition: Competition, directory: Path, say: Callable[[str
 
 
 def _checked(
-    competition: Competition, entrant: Entrant, directory: Path, executor: LocalExecutor
+    competition: Competition, entrant: Entrant, directory: Path, workers: LocalExecutor
 ) -> tuple[str | None, list[str]]:
     """Let an entrant play every task; return the first problem, if any, and the lines of its report."""
     limits, run = competition.limits, name_of_run(directory)
@@ -90,7 +90,7 @@ def _checked(
             write_flushed(log, "")
         most = min(task.max_steps or _MAX_STEPS, _MAX_STEPS)
         spec = public_trial(task, entrant.name, EPISODES, most)
-        episodes, used, problem = tried(executor, Match(spec, found, limits, 0, log, run))
+        episodes, used, problem = tried(workers, Match(spec, found, limits, 0, log, run))
         if first is None and problem is not None:
             first = f"task {task.name}: {problem}"
         lines += [
@@ -110,7 +110,7 @@ def _checked(
     return first, [*lines, ends]
 
 
-def tried(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], Used | None, str | None]:
+def tried(workers: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], Used | None, str | None]:
     """Let an entrant play one match.
 
     Returns:
@@ -118,9 +118,9 @@ def tried(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], 
     """
     episodes: list[EpisodeResult] = []
     used = problem = None
-    executor.start(played)
+    workers.start(played)
     while True:
-        for _, report in executor.receive(_WAIT_SECONDS):
+        for _, report in workers.receive(_WAIT_SECONDS):
             match report:
                 case Recorded(result):
                     episodes.append(result)

@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.course import Course, course_of
-from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Piece
+from experiment_runner.competition.match import Forfeited, Match, Piece
 from experiment_runner.competition.records.copies import copies
 from experiment_runner.competition.records.journal import ENTER, EVERYBODY, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
@@ -38,10 +38,10 @@ from experiment_runner.competition.records.seal import (
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
 from experiment_runner.competition.starters import gate_for, name_of_run, starter_for
 from experiment_runner.competition.trials import levels
+from experiment_runner.competition.worker import executor
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Recorded
-from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.plan.provenance import about, program
@@ -211,8 +211,7 @@ def hold(
     with ExitStack() as stack:
         held = stack.enter_context(Held(store, competition, secret, say, gate))
         interrupts = stack.enter_context(Interrupts())
-        executor = LocalExecutor(workers, MODULE, REPORTS, warm=[task.env for task in competition.tasks])
-        dispatcher = Dispatcher(executor, held, interrupts)
+        dispatcher = Dispatcher(executor(workers, competition.tasks), held, interrupts)
         held.begin(dispatcher)
         if gate is not None and held.matches:
             stack.enter_context(reserve(gate.bind))

@@ -204,6 +204,9 @@ class Boards:
         outcomes, verdicts, late: of the trials, by id, as `Results` returns them.
         now: the time.
 
+    Attributes:
+        course: as given.
+
     Raises:
         ExperimentError: the competition has no season.
     """
@@ -216,6 +219,7 @@ class Boards:
         late: Mapping[str, tuple[int, int]],
         now: datetime,
     ) -> None:
+        self.course = course
         played = {
             (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts, late)
             for one in course.state.attempts("over")
@@ -237,7 +241,7 @@ class Boards:
 
     @cached_property
     def _public(self) -> _Board:
-        state = self._facts.course.state
+        state = self.course.state
         return _Board(self._facts, state.closed is not None, state.frozen_at(self._facts.now))
 
     @cached_property
@@ -408,13 +412,11 @@ class _Board:
 
     def _row(self, entrant: Enrolled, viewer: str) -> EntrantRow:
         """Return the row of an entrant; what others see is made once."""
-        mine = entrant.name == viewer
-        row = self._rows.get(entrant.name)
-        if row is None or mine:
-            row = self._made(entrant, viewer)
-        if not mine:
-            self._rows[entrant.name] = row
-        return row
+        if entrant.name == viewer:
+            return self._made(entrant, viewer)
+        if entrant.name not in self._rows:
+            self._rows[entrant.name] = self._made(entrant, viewer)
+        return self._rows[entrant.name]
 
     def _made(self, entrant: Enrolled, viewer: str) -> EntrantRow:
         name, knows = entrant.name, _knows(viewer, entrant.name)
@@ -555,19 +557,16 @@ def _compare(found: Sequence[_Placed], count: str) -> None:
 
 def _places(found: Sequence[_Placed], times: Sequence[datetime], count: str) -> dict[str, list[int | None]]:
     """Return the place of everybody at each time, by name."""
-    scores = np.full((len(found), len(times)), np.nan)
-    for one, row in zip(found, scores, strict=True):
-        after = [_score(one.totals[: i + 1], count) for i in range(len(one.totals))]
-        for at, time in enumerate(times):
-            if known := bisect_right(one.since, time):
-                row[at] = after[known - 1]
-    places = [1 + np.searchsorted(np.sort(-column), -column) for column in scores.T]  # NaN is last
-    return {
-        one.name: [
-            None if np.isnan(score) else int(place[i]) for score, place in zip(row, places, strict=True)
-        ]
-        for i, (one, row) in enumerate(zip(found, scores, strict=True))
-    }
+    scores = []
+    for one in found:
+        after = [math.nan, *(_score(one.totals[: i + 1], count) for i in range(len(one.totals)))]
+        scores.append([after[bisect_right(one.since, time)] for time in times])
+    places: dict[str, list[int | None]] = {one.name: [] for one in found}
+    for column in np.array(scores).T:
+        above = np.searchsorted(np.sort(-column), -column)  # NaN is last
+        for one, number, score in zip(found, above.tolist(), column, strict=True):
+            places[one.name].append(None if np.isnan(score) else 1 + number)
+    return places
 
 
 def _spread(times: Sequence[datetime]) -> list[datetime]:

@@ -17,7 +17,7 @@ import hmac
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -36,7 +36,6 @@ from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
-from experiment_runner.competition.season.worker import Replay
 from experiment_runner.competition.settings import (
     NAMES,
     Competition,
@@ -47,6 +46,7 @@ from experiment_runner.competition.settings import (
 from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.state import IMAGE_ID, Attempt, Enrolled
 from experiment_runner.competition.trials import attempt_trials, levels
+from experiment_runner.competition.worker import Replay
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.plan.limits import TrialId
@@ -252,7 +252,11 @@ class Server(Matches):
         outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
         for one in self._state.attempts("playing"):
             assert one.start is not None
-            self._take_slot(one.start, outcomes, verdicts, resumed=True)
+            slot = self._take_slot(one.start, resumed=True)
+            while slot.left and slot.left[0] in outcomes:
+                verdict = verdicts.get(slot.left[0])
+                verified = verdict is not None and verdict.problem is None
+                self._was_played(slot, outcomes[slot.left[0]], verified=verified)
 
     def turn(self, seconds: float = 0.0) -> bool:
         """Start what can start, and store what is reported within `seconds`; return whether anything runs."""
@@ -496,7 +500,7 @@ class Server(Matches):
             more = {"player": plays.player, "id": plays.id, "value": str(slot)}
             start = act(journal.START, one.entrant, "", now=self._now(), number=one.number, **more)
             self._record(start)
-            self._take_slot(start, {}, {}, resumed=False)
+            self._take_slot(start, resumed=False)
 
     def _plays(self, one: Attempt) -> Act:
         """Return an act with the player of an attempt: an image is run again as it was."""
@@ -511,36 +515,19 @@ class Server(Matches):
         rested = (slot for slot in slots if now >= self._rests.get(slot, now))
         return next((slot for slot in rested if slot not in taken), None)
 
-    def _take_slot(
-        self,
-        start: Act,
-        outcomes: Mapping[str, TrialEnd],
-        verdicts: Mapping[str, ReplayVerdict],
-        *,
-        resumed: bool,
-    ) -> None:
-        """Let an attempt have a slot, with trials some of which may have been played already."""
-        name, entrant = start.subject, self._player(start)
+    def _take_slot(self, start: Act, *, resumed: bool) -> _Slot:
+        """Let an attempt have a slot, and return it."""
+        name, number, entrant = start.subject, int(start.value), self._player(start)
         specs = attempt_trials(self._levels, self._competition.trials, start)
         if not resumed:
             add_trials(self._store, specs)
         competition = replace(self._competition, entrants=(entrant,))
-        gate = None if self._gate is None else gate_of(self._gate, int(start.value))
+        gate = None if self._gate is None else gate_of(self._gate, number)
         ids = [str(spec.id) for spec in specs]
         self.matches.update(zip(ids, matches(competition, specs, self._directory, gate), strict=True))
-        slot = _Slot(
-            self._state.attempt(name, start.number),
-            entrant,
-            int(start.value),
-            ids,
-            deque(trial_id for trial_id in ids if trial_id not in outcomes),
-            resumed,
-        )
-        self._slots[name] = slot
-        for trial_id in (one for one in ids if one in outcomes):
-            self._note_forfeit(slot, trial_id, outcomes[trial_id])
-            if trial_id not in verdicts or verdicts[trial_id].problem is not None:
-                self._verify(trial_id, outcomes[trial_id])
+        attempt = self._state.attempt(name, start.number)
+        slot = self._slots[name] = _Slot(attempt, entrant, number, ids, deque(ids), resumed)
+        return slot
 
     def _go_on(self, slot: _Slot) -> None:
         """Play the next trial of an attempt, or end the attempt when there is none."""
@@ -549,10 +536,6 @@ class Server(Matches):
         elif not slot.left and self._jobs.keys().isdisjoint(slot.trials):
             self._end(slot)
 
-    def _verify(self, trial_id: str, outcome: TrialEnd) -> None:
-        played = self.matches[trial_id]
-        self._add(trial_id, Replay(self._directory, played.spec, outcome, played.steps))
-
     def _add(self, trial_id: str, replay: Replay | None = None) -> None:
         """Let a trial be played, or replayed."""
         limits = self._competition.limits
@@ -560,15 +543,17 @@ class Server(Matches):
         self._jobs[trial_id] = _Job(self._clock() + seconds, replay)
         self.dispatcher.add(trial_id)
 
-    def _note_forfeit(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
-        if outcome.reason is None:
-            return
-        if not slot.forfeit:
-            _, task, number = TrialId(trial_id).parts
-            slot.forfeit = f"{task}, trial {number % self._competition.trials}: {outcome.reason}"
-        if slot.entrant.key is not None and outcome.reason.startswith(NOT_CONNECTED):
+    def _was_played(self, slot: _Slot, outcome: TrialEnd, *, verified: bool = False) -> None:
+        """Note how the next trial of an attempt has ended, and let it be replayed unless it is verified."""
+        played = self.matches[slot.left.popleft()]
+        reason, (_, task, number) = outcome.reason, played.spec.id.parts
+        if reason is not None and not slot.forfeit:
+            slot.forfeit = f"{task}, trial {number % self._competition.trials}: {reason}"
+        if slot.entrant.key is not None and reason is not None and reason.startswith(NOT_CONNECTED):
             for left in slot.left:  # nobody waits for it in each of them again
-                self.matches[left] = replace(self.matches[left], absent=outcome.reason)
+                self.matches[left] = replace(self.matches[left], absent=reason)
+        if not verified:
+            self._add(played.spec.id, Replay(self._directory, played.spec, outcome, played.steps))
 
     def _end(self, slot: _Slot) -> None:
         """Record that an attempt is over, and pause an entrant that fails again and again."""
@@ -640,7 +625,5 @@ class Server(Matches):
         else:
             outcome = self._finish(trial_id)
             slot.resumed = False
-            self._note_forfeit(slot, trial_id, outcome)
-            slot.left.popleft()
-            self._verify(trial_id, outcome)
+            self._was_played(slot, outcome)
             self._go_on(slot)

@@ -14,12 +14,11 @@ from typing import Any, Final
 import msgspec
 
 from experiment_runner.competition.check import in_words, tried
-from experiment_runner.competition.match import MODULE, REPORTS
 from experiment_runner.competition.organiser import check, matches
 from experiment_runner.competition.settings import Competition, Entrant
 from experiment_runner.competition.starters import starter_for
 from experiment_runner.competition.trials import trials
-from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.competition.worker import executor
 from glue.console import one_line
 from glue.errors import ExperimentError
 from glue.plugins.loading import names
@@ -83,9 +82,9 @@ def try_entrant(competition: Competition, entrant: Entrant, folder: Path, say: C
     made = matches(competition, trials(competition, _SEED), folder)
     starter_for(found).sweep(made[0].run)
     failed = 0
-    with LocalExecutor(1, MODULE, REPORTS, warm=[task.env for task in competition.tasks]) as executor:
+    with executor(1, competition.tasks) as workers:
         for match in made:
-            episodes, used, problem = tried(executor, match)
+            episodes, used, problem = tried(workers, match)
             _, task, number = match.spec.id.parts
             steps = sum(episode.steps for episode in episodes)
             total = sum(episode.episode_return for episode in episodes)
