@@ -1,6 +1,7 @@
 """The check before a competition: every entrant plays a little, and its owner gets a report.
 
-Entrants play every task on the default level of its environment, which reveals nothing secret.
+Entrants play every task on the default level of its environment, which reveals nothing secret. At home, their
+owners can let them play a whole attempt.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from pathlib import Path
 from typing import Final
 
 from experiment_runner.competition.match import Forfeited, Match, Used
+from experiment_runner.competition.organiser import check, matches
 from experiment_runner.competition.settings import Competition, Entrant, Limits
 from experiment_runner.competition.starters import name_of_run, starter_for
-from experiment_runner.competition.trials import public_trial
+from experiment_runner.competition.trials import public_trial, trials
 from experiment_runner.competition.worker import executor
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.workers import LocalExecutor
@@ -26,6 +28,7 @@ from glue.files import open_regular
 EPISODES: Final = 3
 _MAX_STEPS: Final = 1_000
 _WAIT_SECONDS: Final = 0.2
+_AT_HOME: Final = b"at home"
 _LAST_LINES: Final = 20
 _MAX_TAIL: Final = 8192
 
@@ -108,6 +111,41 @@ def _checked(
             "",
         ]
     return first, [*lines, ends]
+
+
+def try_entrant(competition: Competition, entrant: Entrant, folder: Path, say: Callable[[str], None]) -> int:
+    """Let an entrant play an attempt at home; return the number of trials that it would have forfeited.
+
+    Its levels are drawn from a public seed.
+
+    Args:
+        competition: its tasks and limits.
+        entrant: an image or a command.
+        folder: for the logs.
+        say: shows a line.
+
+    Raises:
+        ConfigError: the entrant cannot be started, or there is no such environment here.
+    """
+    found = replace(entrant, id=check(entrant, competition.limits))
+    competition = replace(competition, entrants=(found,))
+    made = matches(competition, trials(competition, _AT_HOME), folder)
+    starter_for(found).sweep(made[0].run)
+    failed = 0
+    with executor(1, competition.tasks) as workers:
+        for match in made:
+            episodes, used, problem = tried(workers, match)
+            _, task, number = match.spec.id.parts
+            steps = sum(episode.steps for episode in episodes)
+            total = sum(episode.episode_return for episode in episodes)
+            failed += problem is not None
+            played = f"score {total:.10g} in {len(episodes)} episodes, {steps:,} steps"
+            say(f"{task}, trial {number + 1} of {competition.trials}: {problem or played}")
+            if used is not None:
+                say(f"    {in_words(used, competition.limits)}")
+            if problem is not None:
+                say(f"    what it printed is in {match.log}")
+    return failed
 
 
 def tried(workers: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], Used | None, str | None]:

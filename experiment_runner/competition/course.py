@@ -9,12 +9,7 @@ from pathlib import Path
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act, acts_of
-from experiment_runner.competition.settings import (
-    Competition,
-    Entrant,
-    changes,
-    load_competition,
-)
+from experiment_runner.competition.settings import Competition, Entrant, changes, load_competition
 from experiment_runner.competition.state import IMAGE_ID, Enrolled, State
 from experiment_runner.competition.trials import attempt_trials, levels, trials
 from experiment_runner.plan.limits import TrialId

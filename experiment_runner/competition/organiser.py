@@ -172,11 +172,9 @@ def matches(
     run = name_of_run(directory)
     made = []
     for spec in specs:
-        assert spec.agent is not None
-        assert spec.environment is not None
-        entrant = entrants[spec.agent.label]
+        entrant, task, _ = spec.id.parts
         log = directory / LOGS / f"{spec.id}.log"
-        made.append(Match(spec, entrant, competition.limits, steps[spec.environment.label], log, run, gate))
+        made.append(Match(spec, entrants[entrant], competition.limits, steps[task], log, run, gate))
     return made
 
 

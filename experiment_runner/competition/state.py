@@ -184,10 +184,9 @@ class State:
                 raise ExperimentError(f"the journal admits {one.subject:.80} twice")
             case journal.ENTER | journal.ADD | journal.ENROL:
                 self.entrants[one.subject] = Enrolled(one)
-            case journal.FREEZE:
-                self.frozen, self.thawed = one.when, False
-            case journal.THAW:
-                self.frozen, self.thawed = None, True
+            case journal.FREEZE | journal.THAW:
+                self.thawed = one.act == journal.THAW
+                self.frozen = None if self.thawed else one.when
             case journal.ANNOUNCE:
                 self.announcements.append(one)
             case journal.CHANGE:
@@ -196,20 +195,16 @@ class State:
                 self.closed, self.paused = one.when, ""
                 for entrant in self.entrants.values():
                     entrant.paused = ""
-            case journal.PAUSE if one.subject == EVERYBODY:
-                self.paused = one.reason
-            case journal.RESUME if one.subject == EVERYBODY:
-                self.paused = ""
+            case journal.PAUSE | journal.RESUME if one.subject == EVERYBODY:
+                self.paused = one.reason if one.act == journal.PAUSE else ""
             case journal.RERUN if one.trial:
                 pass  # of a trial, see `Course.reruns`
             case journal.REQUEST | journal.RERUN:
                 self._queue(one)
             case journal.START | journal.OVER | journal.OURS | journal.CANCEL | journal.WITHDRAW:
                 self._move(one)
-            case journal.EXCLUDE:
-                self.entrant(one.subject).excluded = one.reason
-            case journal.READMIT:
-                self.entrant(one.subject).excluded = ""
+            case journal.EXCLUDE | journal.READMIT:
+                self.entrant(one.subject).excluded = one.reason if one.act == journal.EXCLUDE else ""
             case journal.GRANT:
                 self.entrant(one.subject).granted += one.number
             case journal.PAUSE:

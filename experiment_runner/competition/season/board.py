@@ -59,7 +59,6 @@ _TIMES: Final = 200
 _FLIPS: Final = 999
 _LEVEL: Final = 0.05
 _ROUNDING: Final = 1e-9
-_AT_ONCE: Final = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -540,19 +539,12 @@ def _compare(found: Sequence[_Placed], count: str) -> None:
     sums, flipped = shares.sum(axis=1), shares @ flips
     ranked = sorted(range(len(found)), key=lambda i: found[i].place)
     for i in ranked:
-        above = ranked[: found[i].place - 1]
-        like = None
-        while above:
-            some, above = above[-_AT_ONCE:], above[:-_AT_ONCE]
-            observed = np.abs(sums[some] - sums[i])
-            by_chance = np.abs(flipped[some] - flipped[i]) >= (1 - _ROUNDING) * observed[:, None]
-            separated = np.flatnonzero((1 + by_chance.sum(axis=1)) / (1 + _FLIPS) <= _LEVEL)
-            first = int(separated[-1]) + 1 if separated.size else 0
-            if first < len(some):
-                like = found[some[first]].place
-            if first:
+        for above in reversed(ranked[: found[i].place - 1]):
+            observed = abs(sums[above] - sums[i])
+            by_chance = np.abs(flipped[above] - flipped[i]) >= (1 - _ROUNDING) * observed
+            if (1 + np.count_nonzero(by_chance)) / (1 + _FLIPS) <= _LEVEL:
                 break
-        found[i].like = like
+            found[i].like = found[above].place
 
 
 def _places(found: Sequence[_Placed], times: Sequence[datetime], count: str) -> dict[str, list[int | None]]:

@@ -36,13 +36,7 @@ from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
-from experiment_runner.competition.settings import (
-    NAMES,
-    Competition,
-    Entrant,
-    Gate,
-    is_name,
-)
+from experiment_runner.competition.settings import NAMES, Competition, Entrant, Gate, is_name
 from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.state import IMAGE_ID, Attempt, Enrolled
 from experiment_runner.competition.trials import attempt_trials, levels
@@ -90,7 +84,6 @@ class _Slot:
 
     Args:
         attempt: the attempt.
-        entrant: who plays it.
         number: of the slot, from 0.
         trials: ids of its trials, in their order.
         left: ids of those that are not over.
@@ -100,7 +93,6 @@ class _Slot:
     """
 
     attempt: Attempt
-    entrant: Entrant
     number: int
     trials: Sequence[str]
     left: deque[str]
@@ -115,12 +107,12 @@ class _Job:
     Args:
         until: when it has to be over.
         replay: the job of replaying it; None if it is played.
-        verdict: the result of its replay.
+        problem: why it could not be verified; None if it could, or is played.
     """
 
     until: float
     replay: Replay | None
-    verdict: ReplayVerdict | None = None
+    problem: str | None = None
 
 
 def gate_of(gate: Gate, slot: int) -> Gate:
@@ -363,8 +355,9 @@ class Server(Matches):
                 return {"state": "verifying", **reply}
             trial, trials = len(slot.trials) - len(slot.left) + 1, len(slot.trials)
             reply |= {"trial": trial, "trials": trials, "session": name}
-            if slot.entrant.key is not None and self._gate is not None:
-                reply["hub"] = gate_of(self._gate, slot.number).bind
+            next_one = self.matches[slot.left[0]]
+            if next_one.entrant.key is not None and next_one.gate is not None:
+                reply["hub"] = next_one.gate.bind
             return {"state": "playing", **reply}
         now, board = self._now(), self._newest_boards().seen_by(name)
         row = next((row for row in board.entrants if row.mine), EntrantRow(name))
@@ -444,7 +437,7 @@ class Server(Matches):
                 self._queued[one.subject] = self._clock()
             self._say(one.line)
         for slot in list(self._slots.values()):
-            if self._state.attempt(slot.entrant.name, slot.attempt.number).state != "playing":
+            if self._state.attempt(slot.attempt.entrant, slot.attempt.number).state != "playing":
                 self._leave(slot)
         self._looked = -math.inf
 
@@ -526,7 +519,7 @@ class Server(Matches):
         ids = [str(spec.id) for spec in specs]
         self.matches.update(zip(ids, matches(competition, specs, self._directory, gate), strict=True))
         attempt = self._state.attempt(name, start.number)
-        slot = self._slots[name] = _Slot(attempt, entrant, number, ids, deque(ids), resumed)
+        slot = self._slots[name] = _Slot(attempt, number, ids, deque(ids), resumed)
         return slot
 
     def _go_on(self, slot: _Slot) -> None:
@@ -549,7 +542,7 @@ class Server(Matches):
         reason, (_, task, number) = outcome.reason, played.spec.id.parts
         if reason is not None and not slot.forfeit:
             slot.forfeit = f"{task}, trial {number % self._competition.trials}: {reason}"
-        if slot.entrant.key is not None and reason is not None and reason.startswith(NOT_CONNECTED):
+        if played.entrant.key is not None and reason is not None and reason.startswith(NOT_CONNECTED):
             for left in slot.left:  # nobody waits for it in each of them again
                 self.matches[left] = replace(self.matches[left], absent=reason)
         if not verified:
@@ -557,7 +550,7 @@ class Server(Matches):
 
     def _end(self, slot: _Slot) -> None:
         """Record that an attempt is over, and pause an entrant that fails again and again."""
-        name = slot.entrant.name
+        name = slot.attempt.entrant
         self._act(journal.OVER, name, slot.forfeit, number=slot.attempt.number)
         most = self._state.season.failures
         entrant = self._state.entrants[name]
@@ -567,7 +560,7 @@ class Server(Matches):
 
     def _fail(self, slot: _Slot, why: str) -> None:
         """Record that an attempt has failed, not by its entrant's fault, and let another wait for it."""
-        name, now = slot.entrant.name, self._now()
+        name, now = slot.attempt.entrant, self._now()
         attempts = self._state.entrants[name].attempts
         ours = act(journal.OURS, name, why, now=now, number=slot.attempt.number)
         kind = journal.RERUN if slot.attempt.instead else journal.REQUEST
@@ -582,7 +575,7 @@ class Server(Matches):
 
     def _leave(self, slot: _Slot) -> None:
         """Take the slot from an attempt that is no longer played."""
-        del self._slots[slot.entrant.name]
+        del self._slots[slot.attempt.entrant]
         for trial_id in slot.trials:
             self.forget(trial_id)
             self._jobs.pop(trial_id, None)
@@ -596,7 +589,9 @@ class Server(Matches):
     def take(self, trial_id: str, report: Any) -> None:
         """Store a report."""
         if isinstance(report, ReplayVerdict):
-            self._jobs[trial_id].verdict = report
+            record_verdict(self._store, trial_id, report)
+            if report.problem is not None:
+                self._jobs[trial_id].problem = f"{trial_id} could not be verified: {report.problem}"
         else:
             super().take(trial_id, report)
 
@@ -605,25 +600,18 @@ class Server(Matches):
         return self._jobs[trial_id].replay is not None or super().starts_again(trial_id)
 
     def end(self, trial_id: str, failure: str | None) -> None:
-        """Store the outcome of a trial that was played, or the verdict of one that was replayed."""
+        """Store the outcome of a trial that was played, and go on after one that was played or replayed."""
         slot = self._slots[TrialId(trial_id).parts[0]]
         job = self._jobs.pop(trial_id)
+        failure = failure or job.problem
+        if slot.resumed and self._forfeits.get(trial_id, "").startswith(NOT_CONNECTED):
+            failure = failure or "the server was restarted, and its program did not come back"
         if failure is not None:
             if trial_id in self._records:
                 super().end(trial_id, failure)
             self._fail(slot, failure)
-        elif job.verdict is not None:
-            record_verdict(self._store, trial_id, job.verdict)
-            if job.verdict.problem is not None:
-                self._fail(slot, f"{trial_id} could not be verified: {job.verdict.problem}")
-            else:
-                self._go_on(slot)
-        elif slot.resumed and self._forfeits.get(trial_id, "").startswith(NOT_CONNECTED):
-            why = "the server was restarted, and its program did not come back"
-            super().end(trial_id, why)
-            self._fail(slot, why)
-        else:
-            outcome = self._finish(trial_id)
+            return
+        if job.replay is None:
             slot.resumed = False
-            self._was_played(slot, outcome)
-            self._go_on(slot)
+            self._was_played(slot, self._finish(trial_id))
+        self._go_on(slot)
