@@ -340,7 +340,10 @@ class Container(Running):
                     if self._stopped:
                         break
                     self._container.reload()
-                    how = _how_it_ended(int(self._container.attrs["State"]["ExitCode"]))
+                    status = int(self._container.attrs["State"]["ExitCode"])
+                    how = f"ended with status {status}"
+                    if status > _SIGNALLED:  # the container's init makes it of a signal, but so can a program
+                        how += f", as if by signal {status - _SIGNALLED}"
                     late = threading.Timer(_LATE_SECONDS, self._end, [how])
                     late.daemon = True
                     late.start()
@@ -424,12 +427,6 @@ def _missing(entrant: Entrant) -> str:
     if entrant.id:
         what += f" with which it was admitted, {entrant.id},"
     return f"{what} is not on this machine: bring it with docker pull, docker load or docker build"
-
-
-def _how_it_ended(status: int) -> str:
-    if status > _SIGNALLED:  # the container's init makes this status of a signal, but so can a program
-        return f"ended with status {status}, as if by signal {status - _SIGNALLED}"
-    return f"ended with status {status}"
 
 
 def _remove(container: Any) -> None:

@@ -179,10 +179,9 @@ class _Playing:
             config = HubConfig(
                 bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits, pace=match.spec.pace
             )
+            hub = Hub(config, opened=opened, clock=self._clock, processor=lambda: self._running.processor)
             with ExitStack() as joined:
-                hub = joined.enter_context(
-                    Hub(config, opened=opened, clock=self._clock, processor=self._processor).in_background()
-                )
+                joined.enter_context(hub.in_background())
                 self._environment.num_late = partial(hub.sessions.num_late, session)
                 transport = InsideTransport(hub, {Role.ENVIRONMENT: self._environment}, session)
                 glue = joined.enter_context(connect_over(transport, session, on_notice=self._notice))
@@ -203,9 +202,6 @@ class _Playing:
                 why = running.offence and f"its program {running.offence}"
             self._send(Used(running.processor, running.peak, left and left[0]))
             return why
-
-    def _processor(self) -> float | None:
-        return self._running.processor
 
     def _launch(self, scratch: Path, session: str) -> Launch:
         match, folder = self._match, scratch / SHARED

@@ -80,8 +80,7 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
     else:
         # A mistake in a task is found before an engine is asked for anything.
         read = copies([level.environment for level in levels(competition, secret)], directory)
-        hidden = None if competition.season is None else secret
-        acts = admissions(competition, competition.entrants, ENTER, "in the file at the start", secret=hidden)
+        acts = admissions(competition, competition.entrants, ENTER, "in the file at the start", secret)
         course = Course(competition, acts)
     specs = course.specs(course.admitted(competition), secret)
     with reported(f"cannot write to {directory}"):
@@ -126,17 +125,16 @@ def admissions(
     entrants: Iterable[Entrant],
     kind: str,
     reason: str,
-    *,
-    secret: bytes | None,
+    secret: bytes,
     taken: Iterable[str] = (),
 ) -> list[Act]:
     """Return the acts of admitting entrants, once each can be started.
 
     Args:
-        competition: has the limits.
+        competition: has the limits; in a season they get pseudonyms.
         entrants: that are admitted.
         kind, reason: of the acts.
-        secret: determines their pseudonyms; None if they get none.
+        secret: determines their pseudonyms.
         taken: pseudonyms of others.
 
     Raises:
@@ -144,7 +142,7 @@ def admissions(
     """
     acts, aliases = [], {*taken}
     for one in entrants:
-        alias = "" if secret is None else pseudonym(one.name, secret, aliases)
+        alias = "" if competition.season is None else pseudonym(one.name, secret, aliases)
         aliases.add(alias)
         identity = check(one, competition.limits)
         acts.append(act(kind, one.name, reason, player=one.player, id=identity, alias=alias))
@@ -240,11 +238,6 @@ class Matches(Closing):
     def begin(self, dispatcher: Dispatcher) -> None:
         """Take the dispatcher of the jobs."""
         self.dispatcher: Dispatcher = dispatcher
-
-    def play(self, match: Match) -> None:
-        """Let a match wait for its start."""
-        self.matches[match.spec.id] = match
-        self.dispatcher.add(match.spec.id)
 
     def forget(self, trial_id: str) -> None:
         """End a match at once, and forget it."""
@@ -381,7 +374,8 @@ class Held(Matches):
         specs = [record.spec for record in self._store.trials() if record.spec.id in left]
         competition = self.course.admitted(self._competition)
         for match in matches(competition, specs, self._store.directory, self._gate):
-            self.play(match)
+            self.matches[match.spec.id] = match
+            self.dispatcher.add(match.spec.id)
 
     def may_start(self, trial_id: str, running: Collection[str]) -> bool:
         """Return whether a match may start: entrants that join at the same address play one at a time."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from typing import Final, Literal
@@ -12,6 +12,7 @@ from typing import Final, Literal
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act
 from experiment_runner.competition.settings import Season, changed
+from experiment_runner.plan.limits import TrialId
 from glue.errors import ExperimentError
 
 IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
@@ -59,6 +60,11 @@ class Attempt:
     def began(self) -> datetime | None:
         """When it was let play; None before."""
         return None if self.start is None else self.start.when
+
+    def trials(self, tasks: Iterable[str], count: int) -> dict[tuple[str, int], TrialId]:
+        """Return the ids of its trials, by task and level, where each task has `count` trials."""
+        before = (self.number - 1) * count
+        return {(task, i): TrialId.of(self.entrant, task, before + i) for task in tasks for i in range(count)}
 
 
 @dataclass(slots=True)

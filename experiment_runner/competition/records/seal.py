@@ -194,10 +194,9 @@ def _changed(results: Results, found: _Seal | _EarlierSeal) -> str:
         verdicts = results.verdicts()
         if _earlier_played(results) not in found.played:
             return ", ".join(what for part, what in _WHAT.items() if part != "verdicts")
-        sealed = (
-            (_earlier_verified(results, *one), found.verified.get(one[0], ())) for one in verdicts.items()
-        )
-        return "" if all(digest in digests for digest, digests in sealed) else _WHAT["verdicts"]
+        whole = (_verified(results, *one) for one in verdicts.items())
+        sealed = all(_digest(*rest) in found.verified.get(str(trial), ()) for trial, *rest in whole)
+        return "" if sealed else _WHAT["verdicts"]
     now = _digests(results)
     if now in (found.now, found.before):
         return ""
@@ -304,12 +303,9 @@ def _ended(trial_id: str, outcome: TrialEnd) -> object:
     return trial_id, outcome.reason, outcome.digest.hex()
 
 
-def _verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> object:
-    return trial_id, *_judged(results, trial_id, verdict)
-
-
-def _judged(results: Results, trial_id: str, verdict: ReplayVerdict) -> tuple[object, object]:
+def _verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> tuple[object, ...]:
     return (
+        trial_id,
         [verdict.digest.hex(), verdict.problem, repr(verdict.score)],
         [
             [row.episode, repr(row.episode_return), row.steps, row.terminal]
@@ -327,10 +323,6 @@ def _earlier_played(results: Results) -> str:
         [_planned(record.spec) for record in results.trials()],
         {name: [outcome.reason, outcome.digest.hex()] for name, outcome in results.outcomes().items()},
     )
-
-
-def _earlier_verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> str:
-    return _digest(*_judged(results, trial_id, verdict))
 
 
 def _digest(*parts: object) -> str:

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from itertools import accumulate, compress, product
+from itertools import accumulate, compress
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -30,7 +30,6 @@ from experiment_runner.competition.records.journal import EVERYBODY, Act, time_t
 from experiment_runner.competition.season.schedule import queue
 from experiment_runner.competition.settings import Competition
 from experiment_runner.competition.state import Attempt, Enrolled
-from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 
@@ -303,9 +302,8 @@ def _played_in(
     verdicts: Mapping[str, ReplayVerdict],
     late: Mapping[str, tuple[int, int]],
 ) -> _Played:
-    levels = list(product((task.name for task in competition.proving), range(competition.trials)))
-    before = (attempt.number - 1) * competition.trials
-    trials = [TrialId.of(attempt.entrant, task, before + number) for task, number in levels]
+    levels = attempt.trials((task.name for task in competition.proving), competition.trials)
+    trials = levels.values()
     ends, judged = [outcomes.get(trial) for trial in trials], [verdicts.get(trial) for trial in trials]
     reasons = [None if end is None else end.reason for end in ends]
     shape = len(competition.proving), competition.trials
@@ -418,13 +416,12 @@ class _Board:
         return self._rows[entrant.name]
 
     def _made(self, entrant: Enrolled, viewer: str) -> EntrantRow:
-        name, knows = entrant.name, _knows(viewer, entrant.name)
-        named = knows or self._state.season.names == "own"
+        name, knows, shown = entrant.name, _knows(viewer, entrant.name), self._shown(entrant.name, viewer)
         attempts = [self._attempt(one, knows) for one in entrant.attempts.values()]
         row = EntrantRow(
-            self._shown(name, viewer),
-            name if named else "",
-            entrant.act.team if named else "",
+            shown,
+            name if shown == name else "",
+            entrant.act.team if shown == name else "",
             counts=dict(Counter(one.state for one in attempts)),
             attempts=tuple(attempts),
             missing=f"excluded: {entrant.excluded}" if entrant.excluded else "no verified attempt yet",

@@ -25,7 +25,7 @@ from typing import Any, Final
 
 from experiment_runner.competition.aliases import derived, pseudonym
 from experiment_runner.competition.board.forms import line_of
-from experiment_runner.competition.course import Course, course_of, entrant_of
+from experiment_runner.competition.course import course_of, entrant_of
 from experiment_runner.competition.match import NOT_CONNECTED, Match
 from experiment_runner.competition.organiser import Matches, Say, matches
 from experiment_runner.competition.records import journal
@@ -187,9 +187,7 @@ class Server(Matches):
         self._gate = gate
         self._now = now
         self._clock = clock
-        course = course_of(store.directory)
-        self._acts = list(course.acts)
-        self._course = Course(course.competition, self._acts)
+        self._course = course_of(store.directory)
         self._state = self._course.state  # of the acts so far
         self._named = {entrant.name: entrant for entrant in competition.entrants}
         self._directory = store.directory.absolute()
@@ -381,9 +379,11 @@ class Server(Matches):
     def _newest_boards(self) -> Boards:
         """Return the boards after the last act, or somewhat older ones: they may take a fifth of the time."""
         clock = self._clock()
-        if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
-            self._boards, self._boards_of = None, len(self._acts)
-            self._boards = Boards.of(self._store, replace(self._course, acts=list(self._acts)), self._now())
+        count = self._state.count
+        if self._boards is None or (self._boards_of != count and clock >= self._boards_until):
+            self._boards, self._boards_of = None, count
+            course = replace(self._course, acts=[*self._course.acts])  # as it is now
+            self._boards = Boards.of(self._store, course, self._now())
             self._boards.seen_by(ANYBODY)
             self._boards_until = self._clock() + 4 * (self._clock() - clock)
         return self._boards
@@ -431,7 +431,7 @@ class Server(Matches):
         """Write acts to the journal, and carry them out."""
         record_acts(self._store, acts)
         for one in acts:
-            self._acts.append(one)
+            self._course.acts.append(one)
             self._state.apply(one)
             if one.act == journal.REQUEST:
                 self._queued[one.subject] = self._clock()
@@ -457,7 +457,7 @@ class Server(Matches):
             if self._must_ask(one) and clock - asked > _ABSENT_SECONDS:
                 self._act(journal.CANCEL, name, "its program has stopped asking for it", number=one.number)
         if state.closed is None and state.season.opens <= now < state.season.closes:
-            for name in self._named.keys() & state.entrants.keys():
+            for name in self._named:
                 entrant = state.entrants[name]
                 if not (entrant.attempts or entrant.excluded or self._has_key(name)):
                     self._act(journal.REQUEST, name, "its first", number=1)

@@ -129,22 +129,17 @@ class Views:
         name = f"{shown}, attempt {attempt}: {task}, trial {trial}"
         return replayed(name, with_copies(spec, self.directory), record_path(self.directory, found), episode)
 
-    def _trials(self, viewer: str, shown: str, attempt: int) -> dict[tuple[str, int], TrialId]:
+    def _trials(self, viewer: str, shown: str, number: int) -> dict[tuple[str, int], TrialId]:
         """Return the trials of a verified attempt, of tasks that this viewer may know, by task and number."""
         with self._lock:
             boards = self._boards()
             board = boards.seen_by(viewer)
         row = row_of(board, shown)
-        if not any(one.number == attempt and one.state == "verified" for one in row.attempts):
+        if not any(one.number == number and one.state == "verified" for one in row.attempts):
             raise KeyError(shown)
-        entrants = boards.course.state.entrants.items()
-        name = row.name or next((name for name, one in entrants if one.act.alias == shown), shown)
-        count = boards.course.competition.trials
-        return {
-            (task, number): TrialId.of(name, task, (attempt - 1) * count + number)
-            for task in board.tasks
-            for number in range(count)
-        }
+        state, count = boards.course.state, boards.course.competition.trials
+        aliases = {one.act.alias: name for name, one in state.entrants.items()}
+        return state.attempt(row.name or aliases[shown], number).trials(board.tasks, count)
 
     def _json(self, question: Hashable, compute: Callable[[Boards], object]) -> bytes:
         with self._lock:
