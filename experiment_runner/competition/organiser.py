@@ -403,20 +403,15 @@ class Held(Matches):
 def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> str:
     ours, theirs = ({spec.id: spec for spec in some} for some in (recorded, specs))
     hint = "choose another directory"
-    for trial_id in [*theirs, *ours]:
-        if trial_id not in ours or trial_id not in theirs:
-            return (
-                f"{'only this one' if trial_id in theirs else 'only that one'} has trial {trial_id}: {hint}"
-            )
+    if only := [one for one in (*theirs, *ours) if one not in ours or one not in theirs]:
+        return f"{'only this one' if only[0] in theirs else 'only that one'} has trial {only[0]}: {hint}"
     changed = next(trial_id for trial_id in ours if ours[trial_id] != theirs[trial_id])
     was, now = ours[changed], theirs[changed]
     if was.environment and now.environment and was.seed == now.seed:
         options, others = was.environment.options, now.environment.options
-        for name in options.keys() & others.keys():
-            if options[name] != others[name]:
-                return (
-                    f"{name} of {changed} was {options[name]}, not {others[name]}: put that back, or {hint}"
-                )
+        for name, value in options.items():
+            if name in others and others[name] != value:
+                return f"{name} of {changed} was {value}, not {others[name]}: put that back, or {hint}"
     if _without_secret(was) == _without_secret(now):
         return f"its levels were drawn from another secret seed: put that back, or {hint}"
     return f"trial {changed} is another one: {hint}"

@@ -9,16 +9,15 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from typing import Final
+
+import msgspec
 
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
 from experiment_runner.report.tables import format_table
-from experiment_runner.store.run_data import csv_row, finite
+from experiment_runner.store.run_data import csv_row
 from glue.console import one_line
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 LEGEND: Final = (
     "place     by the mean of the ranks in the tasks; those who are equal share it",
@@ -117,7 +116,7 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return text.getvalue()
 
 
-def as_json(board: DataclassInstance) -> str:
+def as_json(board: object) -> str:
     """Return a board as a JSON object; a missing number is null."""
     return json.dumps(plain(board), indent=2) + "\n"
 
@@ -140,14 +139,7 @@ def _timed(board: Standings) -> bool:
     return any(not math.isnan(one.late) for one in board.entrants if one.place is not None)
 
 
-def plain(board: DataclassInstance) -> object:
+def plain(board: object) -> object:
     """Return a board as JSON has it; a missing number is None."""
-    return _finite(asdict(board))
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _finite(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(part) for part in value]
-    return finite(value)
+    found: object = msgspec.json.decode(msgspec.json.encode(board))
+    return found

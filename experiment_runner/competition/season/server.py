@@ -454,7 +454,7 @@ class Server(Matches):
         for one in state.attempts("waiting"):
             name = one.entrant
             asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
-            if self._must_ask(one) and clock - asked > _ABSENT_SECONDS:
+            if not one.instead and self._has_key(name) and clock - asked > _ABSENT_SECONDS:
                 self._act(journal.CANCEL, name, "its program has stopped asking for it", number=one.number)
         if state.closed is None and state.season.opens <= now < state.season.closes:
             for name in self._named:
@@ -465,10 +465,6 @@ class Server(Matches):
             self._begin(one)
         for slot in list(self._slots.values()):
             self._go_on(slot)
-
-    def _must_ask(self, one: Attempt) -> bool:
-        """Return whether an attempt waits only as long as its entrant's program asks for it."""
-        return not one.instead and self._has_key(one.entrant)
 
     def _present(self, name: str) -> bool:
         return name in self._seen and self._clock() - self._seen[name] < _PRESENT_SECONDS
@@ -489,17 +485,15 @@ class Server(Matches):
         """Let an attempt play, if there is a slot for it."""
         slot = self._free_slot()
         if slot is not None:
-            plays = self._plays(one)
+            entrant = self._state.entrants[one.entrant]
+            before = entrant.attempts[one.instead].start if one.instead else None
+            plays = entrant.present
+            if before is not None and IMAGE_ID.fullmatch(before.id):  # an image is run again as it was
+                plays = before
             more = {"player": plays.player, "id": plays.id, "value": str(slot)}
             start = act(journal.START, one.entrant, "", now=self._now(), number=one.number, **more)
             self._record(start)
             self._take_slot(start, resumed=False)
-
-    def _plays(self, one: Attempt) -> Act:
-        """Return an act with the player of an attempt: an image is run again as it was."""
-        entrant = self._state.entrants[one.entrant]
-        before = entrant.attempts[one.instead].start if one.instead else None
-        return entrant.present if before is None or not IMAGE_ID.fullmatch(before.id) else before
 
     def _free_slot(self) -> int | None:
         """Return a slot that is free, and does not rest since an attempt failed there; None without one."""

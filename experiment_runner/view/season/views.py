@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Hashable
+from contextlib import suppress
 from datetime import datetime
 from hashlib import sha256
 from pathlib import Path
@@ -177,11 +178,9 @@ def organisers_token(directory: Path) -> str:
         StorageError: its file cannot be read, or not be written.
     """
     path = directory / TOKEN_FILE
-    with reported(f"cannot read {path}"):
-        try:
-            return read_regular(path, _MOST_TOKEN, own=True).decode().strip()
-        except FileNotFoundError:
-            token = new_token()
+    with reported(f"cannot read {path}"), suppress(FileNotFoundError):
+        return read_regular(path, _MOST_TOKEN, own=True).decode().strip()
+    token = new_token()
     with reported(f"cannot write {path}"), create_regular(path, 0o600) as file:
         file.write(f"{token}\n".encode())
         file.flush()
