@@ -122,7 +122,8 @@ def try_command(player: str, season: Path) -> int:
 
     An image plays in the same jail as there, on levels of its own; anything else is an agent for glue-agent.
     """
-    from experiment_runner.competition.season.trying import competition_of, try_entrant
+    from experiment_runner.competition.check import try_entrant
+    from experiment_runner.competition.season.trying import competition_of
     from experiment_runner.competition.settings import Entrant
     from glue.client.season import Page, read_membership
     from glue.plugins.loading import names

@@ -86,9 +86,9 @@ def serve(
     from experiment_runner.competition.organiser import open_competition
     from experiment_runner.competition.season.images import remove_others
     from experiment_runner.competition.season.server import Server, check_gate
-    from experiment_runner.competition.season.worker import executor_of
     from experiment_runner.competition.settings import Gate, load_competition
     from experiment_runner.competition.trials import read_code, read_secret
+    from experiment_runner.competition.worker import executor_of
     from experiment_runner.executors.opening import kept_if_begun
     from experiment_runner.view.launch import check_view, season_viewed
 

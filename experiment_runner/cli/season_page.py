@@ -116,6 +116,7 @@ def page(
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     check_view("page")
     from experiment_runner.competition.records.journal import utc_now
+    from experiment_runner.competition.season.board import PUBLIC
     from experiment_runner.competition.season.entrance import routes
     from experiment_runner.view.season.page import Passing, season_page
     from experiment_runner.view.season.publish import Publisher
@@ -126,10 +127,10 @@ def page(
     if match is None or int(match[3]) > 65535:
         raise ConfigError(f"--page is HOST:PORT, as in 127.0.0.1:8097, not {address}", settings=("page",))
     place = place_of(match[1] or match[2], int(match[3]), proxy, insecure)
-    views = Views(directory, utc_now)
-    views.viewers()  # says why, if the directory holds no season
-    token = organisers_token(directory)
     os.nice(_NICENESS)  # what is played has priority
+    views = Views(directory, utc_now)
+    views.board(PUBLIC)  # says why, if the directory holds no season
+    token = organisers_token(directory)
     if publish is not None:
         Publisher(views, publish).keep(say)
 

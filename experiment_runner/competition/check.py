@@ -1,6 +1,7 @@
 """The check before a competition: every entrant plays a little, and its owner gets a report.
 
-Entrants play every task on the default level of its environment, which reveals nothing secret.
+Entrants play every task on the default level of its environment, which reveals nothing secret. At home, their
+owners can let them play a whole attempt.
 """
 
 from __future__ import annotations
@@ -10,10 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Used
+from experiment_runner.competition.match import Forfeited, Match, Used
+from experiment_runner.competition.organiser import check, matches
 from experiment_runner.competition.settings import Competition, Entrant, Limits
 from experiment_runner.competition.starters import name_of_run, starter_for
-from experiment_runner.competition.trials import public_trial
+from experiment_runner.competition.trials import public_trial, trials
+from experiment_runner.competition.worker import executor
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.store.database import reported
@@ -25,6 +28,7 @@ from glue.files import open_regular
 EPISODES: Final = 3
 _MAX_STEPS: Final = 1_000
 _WAIT_SECONDS: Final = 0.2
+_AT_HOME: Final = b"at home"
 _LAST_LINES: Final = 20
 _MAX_TAIL: Final = 8192
 
@@ -48,11 +52,10 @@ def check_entrants(competition: Competition, directory: Path, say: Callable[[str
         lock = RunLock(directory)
     failed = 0
     try:
-        environments = [task.env for task in competition.tasks]
-        with LocalExecutor(1, MODULE, REPORTS, warm=environments) as executor:
+        with executor(1, competition.tasks) as workers:
             for entrant in competition.entrants:
                 report = directory / entrant.name / "report.txt"
-                problem, lines = _checked(competition, entrant, directory, executor)
+                problem, lines = _checked(competition, entrant, directory, workers)
                 with reported(f"cannot write to {report.parent}"):
                     write_flushed(report, "\n".join(lines) + "\n")
                 failed += problem is not None and entrant.key is None
@@ -64,7 +67,7 @@ def check_entrants(competition: Competition, directory: Path, say: Callable[[str
 
 
 def _checked(
-    competition: Competition, entrant: Entrant, directory: Path, executor: LocalExecutor
+    competition: Competition, entrant: Entrant, directory: Path, workers: LocalExecutor
 ) -> tuple[str | None, list[str]]:
     """Let an entrant play every task; return the first problem, if any, and the lines of its report."""
     limits, run = competition.limits, name_of_run(directory)
@@ -90,7 +93,7 @@ def _checked(
             write_flushed(log, "")
         most = min(task.max_steps or _MAX_STEPS, _MAX_STEPS)
         spec = public_trial(task, entrant.name, EPISODES, most)
-        episodes, used, problem = tried(executor, Match(spec, found, limits, 0, log, run))
+        episodes, used, problem = tried(workers, Match(spec, found, limits, 0, log, run))
         if first is None and problem is not None:
             first = f"task {task.name}: {problem}"
         lines += [
@@ -110,7 +113,42 @@ def _checked(
     return first, [*lines, ends]
 
 
-def tried(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], Used | None, str | None]:
+def try_entrant(competition: Competition, entrant: Entrant, folder: Path, say: Callable[[str], None]) -> int:
+    """Let an entrant play an attempt at home; return the number of trials that it would have forfeited.
+
+    Its levels are drawn from a public seed.
+
+    Args:
+        competition: its tasks and limits.
+        entrant: an image or a command.
+        folder: for the logs.
+        say: shows a line.
+
+    Raises:
+        ConfigError: the entrant cannot be started, or there is no such environment here.
+    """
+    found = replace(entrant, id=check(entrant, competition.limits))
+    competition = replace(competition, entrants=(found,))
+    made = matches(competition, trials(competition, _AT_HOME), folder)
+    starter_for(found).sweep(made[0].run)
+    failed = 0
+    with executor(1, competition.tasks) as workers:
+        for match in made:
+            episodes, used, problem = tried(workers, match)
+            _, task, number = match.spec.id.parts
+            steps = sum(episode.steps for episode in episodes)
+            total = sum(episode.episode_return for episode in episodes)
+            failed += problem is not None
+            played = f"score {total:.10g} in {len(episodes)} episodes, {steps:,} steps"
+            say(f"{task}, trial {number + 1} of {competition.trials}: {problem or played}")
+            if used is not None:
+                say(f"    {in_words(used, competition.limits)}")
+            if problem is not None:
+                say(f"    what it printed is in {match.log}")
+    return failed
+
+
+def tried(workers: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], Used | None, str | None]:
     """Let an entrant play one match.
 
     Returns:
@@ -118,9 +156,9 @@ def tried(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], 
     """
     episodes: list[EpisodeResult] = []
     used = problem = None
-    executor.start(played)
+    workers.start(played)
     while True:
-        for _, report in executor.receive(_WAIT_SECONDS):
+        for _, report in workers.receive(_WAIT_SECONDS):
             match report:
                 case Recorded(result):
                     episodes.append(result)

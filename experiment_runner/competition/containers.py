@@ -333,14 +333,18 @@ class Container(Running):
         with suppress(OSError, DockerException, HTTPError):  # the engine is gone
             for event in self._events:
                 if event["Action"] == "oom":
-                    self._offend(f"used more than {self._memory / 2**20:g} MiB of memory")
+                    self.offence = f"used more than {self._memory / 2**20:g} MiB of memory"
+                    self._end(self.offence)
                 elif event["Action"] == "kill" and not self._stopped:
                     self._lose("the container engine was told to kill the container, or to end")
                 elif event["Action"] == "die":
                     if self._stopped:
                         break
                     self._container.reload()
-                    how = _how_it_ended(int(self._container.attrs["State"]["ExitCode"]))
+                    status = int(self._container.attrs["State"]["ExitCode"])
+                    how = f"ended with status {status}"
+                    if status > _SIGNALLED:  # the container's init makes it of a signal, but so can a program
+                        how += f", as if by signal {status - _SIGNALLED}"
                     late = threading.Timer(_LATE_SECONDS, self._end, [how])
                     late.daemon = True
                     late.start()
@@ -424,12 +428,6 @@ def _missing(entrant: Entrant) -> str:
     if entrant.id:
         what += f" with which it was admitted, {entrant.id},"
     return f"{what} is not on this machine: bring it with docker pull, docker load or docker build"
-
-
-def _how_it_ended(status: int) -> str:
-    if status > _SIGNALLED:  # the container's init makes this status of a signal, but so can a program
-        return f"ended with status {status}, as if by signal {status - _SIGNALLED}"
-    return f"ended with status {status}"
 
 
 def _remove(container: Any) -> None:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act, acts_of
-from experiment_runner.competition.settings import (
-    Competition,
-    Entrant,
-    changes,
-    load_competition,
-)
+from experiment_runner.competition.settings import Competition, Entrant, changes, load_competition
 from experiment_runner.competition.state import IMAGE_ID, Enrolled, State
 from experiment_runner.competition.trials import attempt_trials, levels, trials
 from experiment_runner.plan.limits import TrialId
@@ -33,7 +28,7 @@ class Course:
     """
 
     competition: Competition
-    acts: Sequence[Act]
+    acts: list[Act]
 
     @cached_property
     def state(self) -> State:
@@ -171,46 +166,6 @@ class Course:
         return [
             act(journal.CHANGE, name, "in the file", value=value) for name, value in changes(was, now).items()
         ]
-
-    def exclusion(self, entrant: str, reason: str) -> Act:
-        """Return the act of excluding an entrant.
-
-        Raises:
-            ExperimentError: there is no such entrant, or it is excluded.
-        """
-        if entrant not in self.entrants:
-            raise ExperimentError(f"there is no entrant {entrant}; there are {', '.join(self.entrants)}")
-        if entrant in self.excluded:
-            raise ExperimentError(f"{entrant} is excluded: {self.excluded[entrant]}")
-        return act(journal.EXCLUDE, entrant, reason)
-
-    def repetitions(self, trials: Iterable[str], over: Collection[str], reason: str) -> list[Act]:
-        """Return the acts of playing trials of the competition again.
-
-        Args:
-            trials: their ids, as in `alice/easy/0`.
-            over: ids of the trials that are over.
-            reason: for it.
-
-        Raises:
-            ExperimentError: there is no such trial, or it is not over.
-        """
-        made: list[Act] = []
-        counting, repeated = self.counting, list(self.reruns)
-        for trial in dict.fromkeys(trials):
-            found = counting.get(TrialId(trial))
-            if found is None:
-                such = next(iter(counting), "alice/easy/0")
-                raise ExperimentError(
-                    f"there is no trial {trial}: give entrant, task and number, as in {such}"
-                )
-            if found not in over:
-                raise ExperimentError(f"{trial} is not over: glue-compete run plays it anyway")
-            entrant, task, _ = found.parts
-            number = self.competition.trials + sum(one.parts[:2] == (entrant, task) for one in repeated)
-            repeated.append(TrialId.of(entrant, task, number))
-            made.append(act(journal.RERUN, trial, reason, trial=str(repeated[-1])))
-        return made
 
 
 def _rules(competition: Competition) -> dict[str, object]:

@@ -1,6 +1,6 @@
 """One entrant plays one trial of a task, in a worker process with its own hub.
 
-Workers are forked, see `experiment_runner.processes.warm` and `experiment_runner.executors.workers`.
+Workers are forked, see `experiment_runner.processes.warm` and `experiment_runner.competition.worker`.
 Environment and hub are in this process; the entrant's program, which the starter starts, can reach only the
 socket that it is launched with.
 """
@@ -10,20 +10,19 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple, get_args
+from typing import Final, NamedTuple
 
 from experiment_runner.competition.environment import RecordedEnvironment
 from experiment_runner.competition.records.replay import made_for
 from experiment_runner.competition.settings import Entrant, Gate, Limits
-from experiment_runner.competition.starters import Launch, Running, Starter, gate_for, starter_for
+from experiment_runner.competition.starters import Launch, Running, Starter, gate_for
 from experiment_runner.competition.trials import agent_seed
-from experiment_runner.executors.job import Ended, Lost, Recorded, decode
-from experiment_runner.executors.workers import serve
+from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.processes.scratch import SOCKET as SHARED
 from experiment_runner.processes.scratch import scratch_folder
@@ -35,12 +34,8 @@ from glue.hub.config import DEFAULT_SESSION, Bind, HubConfig
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.listener import open_address
 from glue.hub.io.server import Hub
-from glue.options import build
-from glue.plugins.loading import find
 from glue.trajectory import ActionWriter, Ending
 from glue.wire.messages import MAX_BODY, Event, Role
-
-MODULE: Final = "experiment_runner.competition.match"
 
 NOT_CONNECTED: Final = "it did not connect within"
 """Begin of the reason if an entrant never joins."""
@@ -122,10 +117,6 @@ class _Unfinished(ExperimentError):
     """The trial was interrupted, for a reason that is not the entrant's."""
 
 
-REPORTS: Final[Mapping[str, type[Report]]] = {kind.__name__: kind for kind in get_args(Report)}
-"""The reports of a match, by name."""
-
-
 def play(
     match: Match,
     send: Callable[[Report], None],
@@ -188,10 +179,9 @@ class _Playing:
             config = HubConfig(
                 bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits, pace=match.spec.pace
             )
+            hub = Hub(config, opened=opened, clock=self._clock, processor=lambda: self._running.processor)
             with ExitStack() as joined:
-                hub = joined.enter_context(
-                    Hub(config, opened=opened, clock=self._clock, processor=self._processor).in_background()
-                )
+                joined.enter_context(hub.in_background())
                 self._environment.num_late = partial(hub.sessions.num_late, session)
                 transport = InsideTransport(hub, {Role.ENVIRONMENT: self._environment}, session)
                 glue = joined.enter_context(connect_over(transport, session, on_notice=self._notice))
@@ -212,9 +202,6 @@ class _Playing:
                 why = running.offence and f"its program {running.offence}"
             self._send(Used(running.processor, running.peak, left and left[0]))
             return why
-
-    def _processor(self) -> float | None:
-        return self._running.processor
 
     def _launch(self, scratch: Path, session: str) -> Launch:
         match, folder = self._match, scratch / SHARED
@@ -279,28 +266,3 @@ class _Playing:
             if not self._over.is_set():
                 glue.give_up(why)
             return
-
-
-def prepare(environments: Sequence[str]) -> None:
-    """Import environments and load what they have compiled, for the processes that are forked from this one.
-
-    Those in a user's own file are left to each process: what the file does is not known.
-    """
-    for name in environments:
-        if ":" not in name:
-            with suppress(Exception):  # a process that plays says what is wrong
-                build(find(Role.ENVIRONMENT, name), {}).env_init()
-
-
-def main() -> None:
-    """Play the match received over the socket whose descriptor is the first argument."""
-
-    def run(job: Any, send: Callable[[object], None]) -> None:
-        match = decode(job, {Match.__name__: Match})
-        play(match, send, starter_for(match.entrant))
-
-    serve(run)
-
-
-if __name__ == "__main__":
-    main()

@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.course import Course, course_of
-from experiment_runner.competition.match import MODULE, REPORTS, Forfeited, Match, Piece
+from experiment_runner.competition.match import Forfeited, Match, Piece
 from experiment_runner.competition.records.copies import copies
 from experiment_runner.competition.records.journal import ENTER, EVERYBODY, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
@@ -38,10 +38,10 @@ from experiment_runner.competition.records.seal import (
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
 from experiment_runner.competition.starters import gate_for, name_of_run, starter_for
 from experiment_runner.competition.trials import levels
+from experiment_runner.competition.worker import executor
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Recorded
-from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.plan.provenance import about, program
@@ -80,8 +80,7 @@ def open_competition(directory: Path, text: str, competition: Competition, secre
     else:
         # A mistake in a task is found before an engine is asked for anything.
         read = copies([level.environment for level in levels(competition, secret)], directory)
-        hidden = None if competition.season is None else secret
-        acts = admissions(competition, competition.entrants, ENTER, "in the file at the start", secret=hidden)
+        acts = admissions(competition, competition.entrants, ENTER, "in the file at the start", secret)
         course = Course(competition, acts)
     specs = course.specs(course.admitted(competition), secret)
     with reported(f"cannot write to {directory}"):
@@ -126,17 +125,16 @@ def admissions(
     entrants: Iterable[Entrant],
     kind: str,
     reason: str,
-    *,
-    secret: bytes | None,
+    secret: bytes,
     taken: Iterable[str] = (),
 ) -> list[Act]:
     """Return the acts of admitting entrants, once each can be started.
 
     Args:
-        competition: has the limits.
+        competition: has the limits; in a season they get pseudonyms.
         entrants: that are admitted.
         kind, reason: of the acts.
-        secret: determines their pseudonyms; None if they get none.
+        secret: determines their pseudonyms.
         taken: pseudonyms of others.
 
     Raises:
@@ -144,7 +142,7 @@ def admissions(
     """
     acts, aliases = [], {*taken}
     for one in entrants:
-        alias = "" if secret is None else pseudonym(one.name, secret, aliases)
+        alias = "" if competition.season is None else pseudonym(one.name, secret, aliases)
         aliases.add(alias)
         identity = check(one, competition.limits)
         acts.append(act(kind, one.name, reason, player=one.player, id=identity, alias=alias))
@@ -172,11 +170,9 @@ def matches(
     run = name_of_run(directory)
     made = []
     for spec in specs:
-        assert spec.agent is not None
-        assert spec.environment is not None
-        entrant = entrants[spec.agent.label]
+        entrant, task, _ = spec.id.parts
         log = directory / LOGS / f"{spec.id}.log"
-        made.append(Match(spec, entrant, competition.limits, steps[spec.environment.label], log, run, gate))
+        made.append(Match(spec, entrants[entrant], competition.limits, steps[task], log, run, gate))
     return made
 
 
@@ -211,8 +207,7 @@ def hold(
     with ExitStack() as stack:
         held = stack.enter_context(Held(store, competition, secret, say, gate))
         interrupts = stack.enter_context(Interrupts())
-        executor = LocalExecutor(workers, MODULE, REPORTS, warm=[task.env for task in competition.tasks])
-        dispatcher = Dispatcher(executor, held, interrupts)
+        dispatcher = Dispatcher(executor(workers, competition.tasks), held, interrupts)
         held.begin(dispatcher)
         if gate is not None and held.matches:
             stack.enter_context(reserve(gate.bind))
@@ -243,11 +238,6 @@ class Matches(Closing):
     def begin(self, dispatcher: Dispatcher) -> None:
         """Take the dispatcher of the jobs."""
         self.dispatcher: Dispatcher = dispatcher
-
-    def play(self, match: Match) -> None:
-        """Let a match wait for its start."""
-        self.matches[match.spec.id] = match
-        self.dispatcher.add(match.spec.id)
 
     def forget(self, trial_id: str) -> None:
         """End a match at once, and forget it."""
@@ -384,7 +374,8 @@ class Held(Matches):
         specs = [record.spec for record in self._store.trials() if record.spec.id in left]
         competition = self.course.admitted(self._competition)
         for match in matches(competition, specs, self._store.directory, self._gate):
-            self.play(match)
+            self.matches[match.spec.id] = match
+            self.dispatcher.add(match.spec.id)
 
     def may_start(self, trial_id: str, running: Collection[str]) -> bool:
         """Return whether a match may start: entrants that join at the same address play one at a time."""
@@ -412,20 +403,15 @@ class Held(Matches):
 def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> str:
     ours, theirs = ({spec.id: spec for spec in some} for some in (recorded, specs))
     hint = "choose another directory"
-    for trial_id in [*theirs, *ours]:
-        if trial_id not in ours or trial_id not in theirs:
-            return (
-                f"{'only this one' if trial_id in theirs else 'only that one'} has trial {trial_id}: {hint}"
-            )
+    if only := [one for one in (*theirs, *ours) if one not in ours or one not in theirs]:
+        return f"{'only this one' if only[0] in theirs else 'only that one'} has trial {only[0]}: {hint}"
     changed = next(trial_id for trial_id in ours if ours[trial_id] != theirs[trial_id])
     was, now = ours[changed], theirs[changed]
     if was.environment and now.environment and was.seed == now.seed:
         options, others = was.environment.options, now.environment.options
-        for name in options.keys() & others.keys():
-            if options[name] != others[name]:
-                return (
-                    f"{name} of {changed} was {options[name]}, not {others[name]}: put that back, or {hint}"
-                )
+        for name, value in options.items():
+            if name in others and others[name] != value:
+                return f"{name} of {changed} was {value}, not {others[name]}: put that back, or {hint}"
     if _without_secret(was) == _without_secret(now):
         return f"its levels were drawn from another secret seed: put that back, or {hint}"
     return f"trial {changed} is another one: {hint}"

@@ -384,10 +384,8 @@ def _entrant(name: str, table: object, folder: Path) -> Entrant:
 
 
 def _limits(table: Any) -> Limits:
-    sizes = {}
     if isinstance(table, dict):
-        sizes = {key: _size(key, table[key]) for key in _SIZES if key in table}
-        table = table | sizes
+        table = table | {key: _size(key, table[key]) for key in _SIZES if key in table}
     try:
         return converted(Limits, table, "[limits]", "limits")
     except ConfigError as error:  # of a time; the message begins with its name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from typing import Final, Literal
@@ -12,6 +12,7 @@ from typing import Final, Literal
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act
 from experiment_runner.competition.settings import Season, changed, is_name
+from experiment_runner.plan.limits import TrialId
 from glue.errors import ExperimentError
 
 IMAGE_ID: Final = re.compile(r"sha256:[0-9a-f]{64}")
@@ -59,6 +60,11 @@ class Attempt:
     def began(self) -> datetime | None:
         """When it was let play; None before."""
         return None if self.start is None else self.start.when
+
+    def trials(self, tasks: Iterable[str], count: int) -> dict[tuple[str, int], TrialId]:
+        """Return the ids of its trials, by task and level, where each task has `count` trials."""
+        before = (self.number - 1) * count
+        return {(task, i): TrialId.of(self.entrant, task, before + i) for task in tasks for i in range(count)}
 
 
 @dataclass(slots=True)
@@ -188,10 +194,9 @@ class State:
                 raise ExperimentError(f"the journal admits {one.subject:.80} twice")
             case journal.ENTER | journal.ADD | journal.ENROL:
                 self.entrants[one.subject] = Enrolled(one)
-            case journal.FREEZE:
-                self.frozen, self.thawed = one.when, False
-            case journal.THAW:
-                self.frozen, self.thawed = None, True
+            case journal.FREEZE | journal.THAW:
+                self.thawed = one.act == journal.THAW
+                self.frozen = None if self.thawed else one.when
             case journal.ANNOUNCE:
                 self.announcements.append(one)
             case journal.CHANGE:
@@ -200,20 +205,16 @@ class State:
                 self.closed, self.paused = one.when, ""
                 for entrant in self.entrants.values():
                     entrant.paused = ""
-            case journal.PAUSE if one.subject == EVERYBODY:
-                self.paused = one.reason
-            case journal.RESUME if one.subject == EVERYBODY:
-                self.paused = ""
+            case journal.PAUSE | journal.RESUME if one.subject == EVERYBODY:
+                self.paused = one.reason if one.act == journal.PAUSE else ""
             case journal.RERUN if one.trial:
                 pass  # of a trial, see `Course.reruns`
             case journal.REQUEST | journal.RERUN:
                 self._queue(one)
             case journal.START | journal.OVER | journal.OURS | journal.CANCEL | journal.WITHDRAW:
                 self._move(one)
-            case journal.EXCLUDE:
-                self.entrant(one.subject).excluded = one.reason
-            case journal.READMIT:
-                self.entrant(one.subject).excluded = ""
+            case journal.EXCLUDE | journal.READMIT:
+                self.entrant(one.subject).excluded = one.reason if one.act == journal.EXCLUDE else ""
             case journal.GRANT:
                 self.entrant(one.subject).granted += one.number
             case journal.PAUSE:

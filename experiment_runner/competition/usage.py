@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 _ROOT: Final = Path("/sys/fs/cgroup")
-_DEEPEST: Final = 8
 _USEC: Final = re.compile(r"usage_usec (\d+)")
 
 
@@ -52,15 +51,7 @@ class ControlGroup:
 def _file(root: Path, container: str, name: str) -> Path | None:
     """Return a file of a container's control group; None if there is no such group below `root`."""
     wanted = re.compile(rf"(\w+-)?{container}(\.scope)?")  # not podman's own, libpod-conmon-ID.scope
-    found = (folder / name for folder in _folders(root, _DEEPEST) if wanted.fullmatch(folder.name))
-    return next(found, None)
-
-
-def _folders(folder: Path, depth: int) -> Iterator[Path]:
-    """Yield the folders in a folder, nearest first."""
-    with suppress(OSError):
-        found = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
-        yield from found
-        if depth > 1:
-            for path in found:
-                yield from _folders(path, depth - 1)
+    for folder, below, _ in os.walk(root):
+        for group in filter(wanted.fullmatch, below):
+            return Path(folder, group, name)
+    return None

@@ -337,7 +337,8 @@ class Season:
                 told = str(reply)
                 say(told)
             if reply.hub is not None and serve is not None:
-                serve(self._target(reply), partial(self._is_on, reply, say))
+                hub = _EVERYWHERE.sub(self._page.host, reply.hub)
+                serve(Target(hub, reply.session, self._key), partial(self._is_on, reply, say))
             self._sleep(min(max(_POLL_SECONDS, reply.place or 0), _LONGEST_POLL))
             reply = self._attempt(number, say)
         return reply
@@ -364,9 +365,6 @@ class Season:
             except msgspec.ValidationError as error:
                 why = one_line(f"{error}: {reply}", _MOST_SHOWN)
                 raise SeasonRefused(f"the page {self._page.url} answers with no attempt: {why}") from None
-
-    def _target(self, reply: Progress) -> Target:
-        return Target(_EVERYWHERE.sub(self._page.host, str(reply.hub)), reply.session, self._key)
 
 
 def join(page: Page, name: str, secret: Path, code: str = "", team: str = "") -> tuple[Membership, str]:

@@ -39,7 +39,7 @@ _TRIALS = 2
 
 _SECRET = "the-organisers-canary"
 _COMMAND = ["glue_rl", "compete"]
-_MATCH = "experiment_runner.competition.match"
+_MATCH = "experiment_runner.competition.worker"
 _SECONDS = 800
 
 _FILE = """

@@ -16,9 +16,9 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.match import Match
 from experiment_runner.competition.season.control import Attempt, Enrol, ask
-from experiment_runner.competition.season.worker import MODULE, REPORTS
 from experiment_runner.competition.settings import Entrant
 from experiment_runner.competition.trials import trials
+from experiment_runner.competition.worker import MODULE, REPORTS
 from experiment_runner.executors.workers import LocalExecutor
 from experiment_runner.store.results import Results
 from glue.keys.certificates import encode

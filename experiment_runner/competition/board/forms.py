@@ -6,17 +6,18 @@ import csv
 import io
 import json
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Final
+from itertools import chain
+from typing import Final
+
+import msgspec
 
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
 from experiment_runner.report.tables import format_table
-from experiment_runner.store.run_data import csv_row, finite
+from experiment_runner.store.run_data import csv_row
 from glue.console import one_line
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
 
 LEGEND: Final = (
     "place     by the mean of the ranks in the tasks; those who are equal share it",
@@ -46,27 +47,19 @@ def as_text(board: Standings, width: int | None = None) -> str:
         board: the standings.
         width: of the terminal in characters, None for no limit.
     """
-    header = ("place", "entrant", "mean rank", "total", "95 % interval", "by total", *board.tasks)
-    timed = _timed(board)
-    if timed:
-        header += ("late",)
-    placed = [standing for standing in board.entrants if standing.place is not None]
-    parts = [one_line(board.competition)]
-    if placed:
-        parts.append(format_table(header, [_row(standing, board) for standing in placed], width=width))
-    notes = [
-        one_line(f"no place: {other.name}: {other.missing}") for other in board.entrants if other.missing
-    ]
+    late = ["late"] if _timed(board) else []
+    header = ("place", "entrant", "mean rank", "total", "95 % interval", "by total", *board.tasks, *late)
+    rows = [_row(standing, board) for standing in board.entrants if standing.place is not None]
+    notes = [f"no place: {other.name}: {other.missing}" for other in board.entrants if other.missing]
     notes += [
-        one_line(f"forfeited: {standing.name}, {forfeit.task}, trial {forfeit.trial}: {forfeit.reason}")
+        f"forfeited: {standing.name}, {forfeit.task}, trial {forfeit.trial}: {forfeit.reason}"
         for standing in board.entrants
         for forfeit in standing.forfeits
     ]
     notes += [line_of(one) for one in board.acts]
-    notes += [f"{one.name} is {one_line(one.player)}, {one.id}" for one in board.entrants if one.id]
-    if notes:
-        parts.append("\n".join(notes))
-    parts += ["\n".join([*LEGEND, *([LATE] if timed else [])]), one_line(board.program)]
+    notes += [f"{one.name} is {one.player}, {one.id}" for one in board.entrants if one.id]
+    text = laid_out(board.competition, header, rows, notes, [*LEGEND, *([LATE] if late else [])], width)
+    parts = [text, one_line(board.program)]
     if board.seeds:
         seeds = [
             (seed.task, str(seed.trial), str(seed.seed), json.dumps(seed.options)) for seed in board.seeds
@@ -75,35 +68,55 @@ def as_text(board: Standings, width: int | None = None) -> str:
     return "\n\n".join(parts)
 
 
+def laid_out(
+    title: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    notes: Iterable[str],
+    legend: Sequence[str],
+    width: int | None,
+) -> str:
+    """Return a board for the terminal: its title, its table, if anybody has a place, notes, and the legend.
+
+    Args:
+        title: of the board.
+        header, rows: of the table.
+        notes, legend: lines.
+        width: of the terminal in characters, None for no limit.
+    """
+    table = format_table(header, rows, width=width) if rows else ""
+    parts = (one_line(title), table, "\n".join(map(one_line, notes)), "\n".join(legend))
+    return "\n\n".join(filter(None, parts))
+
+
 def as_csv(board: Standings) -> str:
     """Return the standings as CSV: one line for each entrant."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    header = ["place", "entrant", "mean_rank", "place_by_total", "total", "low", "high"]
-    for task in board.tasks:
-        header += [f"score {task}", f"rank {task}"]
     timed = ["late"] if _timed(board) else []
-    header += timed
-    writer.writerow(
-        [*header, "forfeits", "no_place", "player", "id", "program", *(["seeds"] if board.seeds else [])]
-    )
+    numbers = ["mean_rank", "place_by_total", "total", "low", "high"]
+    numbers += [f"{what} {task}" for task in board.tasks for what in ("score", "rank")] + timed
+    texts = ["forfeits", "no_place", "player", "id", "program", *(["seeds"] if board.seeds else [])]
     seeds = [json.dumps([asdict(seed) for seed in board.seeds])] if board.seeds else []
-    for standing in board.entrants:
-        row: list[object] = [standing.place, standing.name]
-        if standing.place is None:
-            row += [""] * (5 + 2 * len(board.tasks) + len(timed))
-        else:
-            row += [standing.mean_rank, standing.place_by_total, standing.total, standing.low, standing.high]
-            for task in board.tasks:
-                row += [standing.tasks[task].score, standing.tasks[task].rank]
-            row += [standing.late] if timed else []
-        forfeits = "; ".join(f"{lost.task}/{lost.trial}: {lost.reason}" for lost in standing.forfeits)
-        texts = (forfeits, standing.missing, standing.player, standing.id, board.program)
-        writer.writerow(csv_row([*row, *texts, *seeds]))
+    rows: list[list[object]] = []
+    for one in board.entrants:
+        found: list[object] = [""] * len(numbers)
+        if one.place is not None:
+            scores = [(one.tasks[task].score, one.tasks[task].rank) for task in board.tasks]
+            found = [one.mean_rank, one.place_by_total, one.total, one.low, one.high]
+            found += [*chain(*scores), *([one.late] if timed else [])]
+        forfeits = "; ".join(f"{lost.task}/{lost.trial}: {lost.reason}" for lost in one.forfeits)
+        told = (forfeits, one.missing, one.player, one.id, board.program)
+        rows.append([one.place, one.name, *found, *told, *seeds])
+    return csv_text(["place", "entrant", *numbers, *texts], rows)
+
+
+def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table as CSV."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(map(csv_row, (header, *rows)))
     return text.getvalue()
 
 
-def as_json(board: DataclassInstance) -> str:
+def as_json(board: object) -> str:
     """Return a board as a JSON object; a missing number is null."""
     return json.dumps(plain(board), indent=2) + "\n"
 
@@ -126,14 +139,7 @@ def _timed(board: Standings) -> bool:
     return any(not math.isnan(one.late) for one in board.entrants if one.place is not None)
 
 
-def plain(board: DataclassInstance) -> object:
+def plain(board: object) -> object:
     """Return a board as JSON has it; a missing number is None."""
-    return _finite(asdict(board))
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, dict):
-        return {key: _finite(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(part) for part in value]
-    return finite(value)
+    found: object = msgspec.json.decode(msgspec.json.encode(board))
+    return found

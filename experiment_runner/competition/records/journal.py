@@ -147,11 +147,8 @@ def time_text(time: datetime) -> str:
 
 def text_of(acts: Iterable[Act]) -> str:
     """Return the lines of acts, without the fields that are empty."""
-    return "".join(json.dumps(_line(one)) + "\n" for one in acts)
-
-
-def _line(one: Act) -> dict[str, object]:
-    return {name: value for name, value in asdict(one).items() if value or name in _ALWAYS}
+    given = ({name: value for name, value in asdict(one).items() if value or name in _ALWAYS} for one in acts)
+    return "".join(json.dumps(fields) + "\n" for fields in given)
 
 
 def content(directory: Path) -> bytes:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Final
@@ -113,24 +113,20 @@ def seal(store: Store) -> bool:
 
 def record_acts(store: Store, acts: Sequence[Act]) -> None:
     """Renew the seal, and append acts to the journal."""
-    found = _newest(store)
     lines = journal.text_of(acts).encode()
-    _renew(store, found, replace(found.now, acts=_chained(found.now.acts, lines)))
+    _renew(store, "acts", lambda chain: _chained(chain, lines))
     journal.append(store.directory, lines)
 
 
 def add_trials(store: Store, specs: Sequence[TrialSpec]) -> None:
     """Renew the seal, and store further trials, for which acts of the journal call."""
-    found = _newest(store)
-    _renew(store, found, replace(found.now, trials=_sum(map(_planned, specs), found.now.trials)))
+    _renew(store, "trials", lambda total: _sum(map(_planned, specs), total))
     store.extend(specs)
 
 
 def record_outcome(store: Store, trial_id: str, outcome: TrialEnd) -> None:
     """Renew the seal, and store how a trial ended."""
-    found = _newest(store)
-    outcomes = _sum([_ended(trial_id, outcome)], found.now.outcomes)
-    _renew(store, found, replace(found.now, outcomes=outcomes))
+    _renew(store, "outcomes", lambda total: _sum([_ended(trial_id, outcome)], total))
     store.record_outcome(trial_id, outcome)
 
 
@@ -139,15 +135,11 @@ def record_verdict(store: Store, trial_id: str, verdict: ReplayVerdict) -> None:
     if isinstance(_read(store.directory), _EarlierSeal) and broken(store):
         store.record_verdict(trial_id, verdict)  # `reseal_verdicts` follows
         return
-    found, was = _newest(store), store.verdict(trial_id)
-    if was is not None and _verified(store, trial_id, was) == _verified(store, trial_id, verdict):
-        return
-    rest = found.now.verdicts
-    if was is not None:
-        rest = _sum([_verified(store, trial_id, was)], rest, -1)
-    verdicts = _sum([_verified(store, trial_id, verdict)], rest)
-    _renew(store, found, replace(found.now, verdicts=verdicts))
-    store.record_verdict(trial_id, verdict)
+    was, new = store.verdict(trial_id), [_verified(store, trial_id, verdict)]
+    old = [] if was is None else [_verified(store, trial_id, was)]
+    if old != new:
+        _renew(store, "verdicts", lambda total: _sum(new, _sum(old, total, -1)))
+        store.record_verdict(trial_id, verdict)
 
 
 def reseal_verdicts(store: Store) -> None:
@@ -171,8 +163,11 @@ def _newest(store: Store) -> _Seal:
     return _Seal(_digests(store), None, found.key, found.signature)
 
 
-def _renew(store: Store, found: _Seal, now: _Digests) -> None:
-    found.now, found.before = now, found.now
+def _renew(store: Store, part: str, change: Callable[[str], str]) -> None:
+    """Change the digest of a part, and keep what it was before."""
+    found = _newest(store)
+    found.before = found.now
+    found.now = replace(found.now, **{part: change(getattr(found.now, part))})
     _write(store.directory, found)
 
 
@@ -199,10 +194,9 @@ def _changed(results: Results, found: _Seal | _EarlierSeal) -> str:
         verdicts = results.verdicts()
         if _earlier_played(results) not in found.played:
             return ", ".join(what for part, what in _WHAT.items() if part != "verdicts")
-        sealed = (
-            (_earlier_verified(results, *one), found.verified.get(one[0], ())) for one in verdicts.items()
-        )
-        return "" if all(digest in digests for digest, digests in sealed) else _WHAT["verdicts"]
+        whole = (_verified(results, *one) for one in verdicts.items())
+        sealed = all(_digest(*rest) in found.verified.get(str(trial), ()) for trial, *rest in whole)
+        return "" if sealed else _WHAT["verdicts"]
     now = _digests(results)
     if now in (found.now, found.before):
         return ""
@@ -321,12 +315,9 @@ def _ended(trial_id: str, outcome: TrialEnd) -> object:
     return trial_id, outcome.reason, outcome.digest.hex()
 
 
-def _verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> object:
-    return trial_id, *_judged(results, trial_id, verdict)
-
-
-def _judged(results: Results, trial_id: str, verdict: ReplayVerdict) -> tuple[object, object]:
+def _verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> tuple[object, ...]:
     return (
+        trial_id,
         [verdict.digest.hex(), verdict.problem, repr(verdict.score)],
         [
             [row.episode, repr(row.episode_return), row.steps, row.terminal]
@@ -344,10 +335,6 @@ def _earlier_played(results: Results) -> str:
         [_planned(record.spec) for record in results.trials()],
         {name: [outcome.reason, outcome.digest.hex()] for name, outcome in results.outcomes().items()},
     )
-
-
-def _earlier_verified(results: Results, trial_id: str, verdict: ReplayVerdict) -> str:
-    return _digest(*_judged(results, trial_id, verdict))
 
 
 def _digest(*parts: object) -> str:

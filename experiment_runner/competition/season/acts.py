@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -44,20 +45,13 @@ def acts_for(wanted: Organise, course: Course, over: Collection[str], now: datet
                 raise ExperimentError("who takes part has changed meanwhile: try again")
             return [one(each.name, player=each.player, id=each.id, alias=alias) for each, alias in new]
         case journal.RERUN if not course.in_season:
-            theirs = [
-                trial for trial, last in course.counting.items() if trial.parts[0] == name and last in over
-            ]
-            if "/" in name:
-                theirs = [TrialId(name)]
-            elif not theirs or wanted.number:
-                raise ExperimentError(
-                    f"no trial of {name:.80} is over; give its name, or entrant, task and number"
-                )
-            return course.repetitions(theirs, over, wanted.why)
+            return [one(trial, trial=again) for trial, again in _repetitions(wanted, course, over)]
         case journal.EXCLUDE:
-            excluded, current = course.exclusion(name, wanted.why), state.entrant(name).current.values()
+            if name not in state.entrants:
+                raise ExperimentError(f"there is no entrant {name}; there are {', '.join(state.entrants)}")
             ends = {"waiting": journal.CANCEL, "playing": journal.OURS}
-            return [excluded, *(one(name, ends[each.state], each.number) for each in current)]
+            current = state.taking_part(name).current.values()
+            return [one(name), *(one(name, ends[each.state], each.number) for each in current)]
         case journal.READMIT:
             if name not in course.excluded:
                 raise ExperimentError(f"{name:.80} is not excluded")
@@ -105,6 +99,27 @@ def acts_for(wanted: Organise, course: Course, over: Collection[str], now: datet
     raise ExperimentError(f"there is no act {wanted.act!r:.80}")
 
 
+def _repetitions(wanted: Organise, course: Course, over: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yield the trials of a competition that are to be played again, each with the id of its repetition."""
+    name, counting = wanted.subject, course.counting
+    trials = [trial for trial, last in counting.items() if trial.parts[0] == name and last in over]
+    if "/" in name:
+        trials, last = [TrialId(name)], counting.get(TrialId(name))
+        if last is None:
+            such = next(iter(counting), "alice/easy/0")
+            raise ExperimentError(f"there is no trial {name}: give entrant, task and number, as in {such}")
+        if last not in over:
+            raise ExperimentError(f"{name} is not over: glue-compete run plays it anyway")
+    elif not trials or wanted.number:
+        raise ExperimentError(f"no trial of {name:.80} is over; give its name, or entrant, task and number")
+    repeated = Counter(one.parts[:2] for one in course.reruns)
+    for trial in trials:
+        entrant, task, _ = trial.parts
+        number = course.competition.trials + repeated[entrant, task]
+        repeated[entrant, task] += 1
+        yield trial, TrialId.of(entrant, task, number)
+
+
 def answering(door: Door) -> Callable[[Held, float], None]:
     """Return the `visit` of a competition that is held at once, which carries out its organiser's acts."""
 
@@ -139,10 +154,7 @@ def addition(course: Course, file: Path, secret: bytes) -> Mapping[str, Any]:
     new = [entrant for entrant in given.entrants if entrant.name not in course.entrants]
     if not new:
         raise ExperimentError(f"{file} has no entrant that does not take part already")
-    hidden = None if course.competition.season is None else secret
     taken = (one.alias for one in course.acts)
-    acts = admissions(given, new, journal.ADD, "", secret=hidden, taken=taken)
-    admitted = tuple(
-        Admitted(replace(entrant, id=one.id), one.alias) for entrant, one in zip(new, acts, strict=True)
-    )
-    return {"admitted": admitted}
+    acts = admissions(course.competition, new, journal.ADD, "", secret, taken)
+    pairs = zip(new, acts, strict=True)
+    return {"admitted": tuple(Admitted(replace(entrant, id=one.id), one.alias) for entrant, one in pairs)}

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from itertools import accumulate, compress, product
+from itertools import accumulate, compress
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -30,7 +30,6 @@ from experiment_runner.competition.records.journal import EVERYBODY, Act, time_t
 from experiment_runner.competition.season.schedule import queue
 from experiment_runner.competition.settings import Competition
 from experiment_runner.competition.state import Attempt, Enrolled
-from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 
@@ -59,7 +58,6 @@ _TIMES: Final = 200
 _FLIPS: Final = 999
 _LEVEL: Final = 0.05
 _ROUNDING: Final = 1e-9
-_AT_ONCE: Final = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +202,9 @@ class Boards:
         outcomes, verdicts, late: of the trials, by id, as `Results` returns them.
         now: the time.
 
+    Attributes:
+        course: as given.
+
     Raises:
         ExperimentError: the competition has no season.
     """
@@ -216,6 +217,7 @@ class Boards:
         late: Mapping[str, tuple[int, int]],
         now: datetime,
     ) -> None:
+        self.course = course
         played = {
             (one.entrant, one.number): _played_in(one, course.competition, outcomes, verdicts, late)
             for one in course.state.attempts("over")
@@ -237,7 +239,7 @@ class Boards:
 
     @cached_property
     def _public(self) -> _Board:
-        state = self._facts.course.state
+        state = self.course.state
         return _Board(self._facts, state.closed is not None, state.frozen_at(self._facts.now))
 
     @cached_property
@@ -300,9 +302,8 @@ def _played_in(
     verdicts: Mapping[str, ReplayVerdict],
     late: Mapping[str, tuple[int, int]],
 ) -> _Played:
-    levels = list(product((task.name for task in competition.proving), range(competition.trials)))
-    before = (attempt.number - 1) * competition.trials
-    trials = [TrialId.of(attempt.entrant, task, before + number) for task, number in levels]
+    levels = attempt.trials((task.name for task in competition.proving), competition.trials)
+    trials = levels.values()
     ends, judged = [outcomes.get(trial) for trial in trials], [verdicts.get(trial) for trial in trials]
     reasons = [None if end is None else end.reason for end in ends]
     shape = len(competition.proving), competition.trials
@@ -408,22 +409,19 @@ class _Board:
 
     def _row(self, entrant: Enrolled, viewer: str) -> EntrantRow:
         """Return the row of an entrant; what others see is made once."""
-        mine = entrant.name == viewer
-        row = self._rows.get(entrant.name)
-        if row is None or mine:
-            row = self._made(entrant, viewer)
-        if not mine:
-            self._rows[entrant.name] = row
-        return row
+        if entrant.name == viewer:
+            return self._made(entrant, viewer)
+        if entrant.name not in self._rows:
+            self._rows[entrant.name] = self._made(entrant, viewer)
+        return self._rows[entrant.name]
 
     def _made(self, entrant: Enrolled, viewer: str) -> EntrantRow:
-        name, knows = entrant.name, _knows(viewer, entrant.name)
-        named = knows or self._state.season.names == "own"
+        name, knows, shown = entrant.name, _knows(viewer, entrant.name), self._shown(entrant.name, viewer)
         attempts = [self._attempt(one, knows) for one in entrant.attempts.values()]
         row = EntrantRow(
-            self._shown(name, viewer),
-            name if named else "",
-            entrant.act.team if named else "",
+            shown,
+            name if shown == name else "",
+            entrant.act.team if shown == name else "",
             counts=dict(Counter(one.state for one in attempts)),
             attempts=tuple(attempts),
             missing=f"excluded: {entrant.excluded}" if entrant.excluded else "no verified attempt yet",
@@ -538,36 +536,26 @@ def _compare(found: Sequence[_Placed], count: str) -> None:
     sums, flipped = shares.sum(axis=1), shares @ flips
     ranked = sorted(range(len(found)), key=lambda i: found[i].place)
     for i in ranked:
-        above = ranked[: found[i].place - 1]
-        like = None
-        while above:
-            some, above = above[-_AT_ONCE:], above[:-_AT_ONCE]
-            observed = np.abs(sums[some] - sums[i])
-            by_chance = np.abs(flipped[some] - flipped[i]) >= (1 - _ROUNDING) * observed[:, None]
-            separated = np.flatnonzero((1 + by_chance.sum(axis=1)) / (1 + _FLIPS) <= _LEVEL)
-            first = int(separated[-1]) + 1 if separated.size else 0
-            if first < len(some):
-                like = found[some[first]].place
-            if first:
+        for above in reversed(ranked[: found[i].place - 1]):
+            observed = abs(sums[above] - sums[i])
+            by_chance = np.abs(flipped[above] - flipped[i]) >= (1 - _ROUNDING) * observed
+            if (1 + np.count_nonzero(by_chance)) / (1 + _FLIPS) <= _LEVEL:
                 break
-        found[i].like = like
+            found[i].like = found[above].place
 
 
 def _places(found: Sequence[_Placed], times: Sequence[datetime], count: str) -> dict[str, list[int | None]]:
     """Return the place of everybody at each time, by name."""
-    scores = np.full((len(found), len(times)), np.nan)
-    for one, row in zip(found, scores, strict=True):
-        after = [_score(one.totals[: i + 1], count) for i in range(len(one.totals))]
-        for at, time in enumerate(times):
-            if known := bisect_right(one.since, time):
-                row[at] = after[known - 1]
-    places = [1 + np.searchsorted(np.sort(-column), -column) for column in scores.T]  # NaN is last
-    return {
-        one.name: [
-            None if np.isnan(score) else int(place[i]) for score, place in zip(row, places, strict=True)
-        ]
-        for i, (one, row) in enumerate(zip(found, scores, strict=True))
-    }
+    scores = []
+    for one in found:
+        after = [math.nan, *(_score(one.totals[: i + 1], count) for i in range(len(one.totals)))]
+        scores.append([after[bisect_right(one.since, time)] for time in times])
+    places: dict[str, list[int | None]] = {one.name: [] for one in found}
+    for column in np.array(scores).T:
+        above = np.searchsorted(np.sort(-column), -column)  # NaN is last
+        for one, number, score in zip(found, above.tolist(), column, strict=True):
+            places[one.name].append(None if np.isnan(score) else 1 + number)
+    return places
 
 
 def _spread(times: Sequence[datetime]) -> list[datetime]:

@@ -213,12 +213,9 @@ class Door(Closing):
     def _read(self, client: socket.socket) -> bytes | None:
         """Return the request of a client, once it is complete."""
         received, _ = self._clients[client]
-        try:
+        data = b""
+        with suppress(OSError):
             data = client.recv(_MOST_BYTES)
-        except BlockingIOError:
-            return None
-        except ConnectionError:
-            data = b""
         received += data
         line, end, _ = received.partition(b"\n")
         if end and len(line) <= _MOST_BYTES:

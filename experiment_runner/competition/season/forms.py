@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
-from experiment_runner.competition.board.forms import LATE, line_of, number, plain
+from experiment_runner.competition.board.forms import LATE, csv_text, laid_out, line_of, number, plain
 from experiment_runner.competition.board.standings import Standings, standings
 from experiment_runner.competition.course import Course
 from experiment_runner.competition.records.journal import utc_now
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
-from experiment_runner.report.tables import format_table
 from experiment_runner.store.results import Results
-from experiment_runner.store.run_data import csv_row, finite
+from experiment_runner.store.run_data import finite
 from glue.console import one_line
 
 _LEGEND: Final = (
@@ -49,23 +46,17 @@ def as_text(board: SeasonBoard, width: int | None = None) -> str:
         for row in board.entrants
         if row.place is not None
     ]
-    parts = [one_line(f"{board.competition}: {board.phase}, {board.opens} to {board.closes}")]
-    if rows:
-        parts.append(format_table(header, rows, width=width))
-    notes = [one_line(f"no place: {row.shown}: {row.missing}") for row in board.entrants if row.missing]
+    title = f"{board.competition}: {board.phase}, {board.opens} to {board.closes}"
+    notes = [f"no place: {row.shown}: {row.missing}" for row in board.entrants if row.missing]
     notes += [
-        one_line(
-            f"forfeited: {row.shown}, attempt {one.number}, {lost.task}, trial {lost.trial}: {lost.reason}"
-        )
+        f"forfeited: {row.shown}, attempt {one.number}, {lost.task}, trial {lost.trial}: {lost.reason}"
         for row in board.entrants
         for one in row.attempts
         for lost in one.forfeits
     ]
-    notes += [one_line(f"{time}: {text}") for time, text in board.announcements]
+    notes += [f"{time}: {text}" for time, text in board.announcements]
     notes += [line_of(one) for one in board.acts]
-    if notes:
-        parts.append("\n".join(notes))
-    return "\n\n".join((*parts, "\n".join([*_LEGEND, *([LATE] if late else [])])))
+    return laid_out(title, header, rows, notes, [*_LEGEND, *([LATE] if late else [])], width)
 
 
 def boards_as_json(results: Results, course: Course) -> str:
@@ -89,18 +80,18 @@ Grades = Sequence[tuple[str, float]]
 
 def _canvas(title: str, grades: Grades) -> str:
     header = ["Student", "ID", "SIS User ID", "SIS Login ID", "Section", title]
-    return _csv(header, ([name, "", "", name, "", finite(score)] for name, score in grades))
+    return csv_text(header, ([name, "", "", name, "", finite(score)] for name, score in grades))
 
 
 def _moodle(title: str, grades: Grades) -> str:
-    return _csv(["username", title], ([name, finite(score)] for name, score in grades))
+    return csv_text(["username", title], ([name, finite(score)] for name, score in grades))
 
 
 def places_of(title: str, grades: Grades) -> str:
     """Return scores with their places, the best first, as CSV."""
     ordered = sorted(grades, key=lambda one: (math.isnan(one[1]), -one[1], one[0]))
     places = [1 + sum(other > score for _, other in grades) for _, score in ordered]
-    return _csv(
+    return csv_text(
         ["place", "entrant", title],
         (
             [None if math.isnan(score) else place, name, finite(score)]
@@ -132,11 +123,3 @@ def grades_of(results: Results, course: Course) -> Grades:
 def scores_of(board: SeasonBoard) -> Grades:
     """Return the scores on the board of a season for its organiser."""
     return [(row.name, row.score) for row in board.entrants]
-
-
-def _csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(csv_row(header))
-    writer.writerows(map(csv_row, rows))
-    return text.getvalue()

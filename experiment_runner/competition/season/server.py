@@ -17,7 +17,7 @@ import hmac
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -25,7 +25,7 @@ from typing import Any, Final
 
 from experiment_runner.competition.aliases import derived, pseudonym
 from experiment_runner.competition.board.forms import line_of
-from experiment_runner.competition.course import Course, course_of, entrant_of
+from experiment_runner.competition.course import course_of, entrant_of
 from experiment_runner.competition.match import NOT_CONNECTED, Match
 from experiment_runner.competition.organiser import Matches, Say, matches
 from experiment_runner.competition.records import journal
@@ -36,17 +36,11 @@ from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
-from experiment_runner.competition.season.worker import Replay
-from experiment_runner.competition.settings import (
-    NAMES,
-    Competition,
-    Entrant,
-    Gate,
-    is_name,
-)
+from experiment_runner.competition.settings import NAMES, Competition, Entrant, Gate, is_name
 from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.state import IMAGE_ID, Attempt, Enrolled
 from experiment_runner.competition.trials import attempt_trials, levels
+from experiment_runner.competition.worker import Replay
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.plan.limits import TrialId
@@ -90,7 +84,6 @@ class _Slot:
 
     Args:
         attempt: the attempt.
-        entrant: who plays it.
         number: of the slot, from 0.
         trials: ids of its trials, in their order.
         left: ids of those that are not over.
@@ -100,7 +93,6 @@ class _Slot:
     """
 
     attempt: Attempt
-    entrant: Entrant
     number: int
     trials: Sequence[str]
     left: deque[str]
@@ -115,12 +107,12 @@ class _Job:
     Args:
         until: when it has to be over.
         replay: the job of replaying it; None if it is played.
-        verdict: the result of its replay.
+        problem: why it could not be verified; None if it could, or is played.
     """
 
     until: float
     replay: Replay | None
-    verdict: ReplayVerdict | None = None
+    problem: str | None = None
 
 
 def gate_of(gate: Gate, slot: int) -> Gate:
@@ -195,9 +187,7 @@ class Server(Matches):
         self._gate = gate
         self._now = now
         self._clock = clock
-        course = course_of(store.directory)
-        self._acts = list(course.acts)
-        self._course = Course(course.competition, self._acts)
+        self._course = course_of(store.directory)
         self._state = self._course.state  # of the acts so far
         self._named = {entrant.name: entrant for entrant in competition.entrants}
         self._directory = store.directory.absolute()
@@ -252,7 +242,11 @@ class Server(Matches):
         outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
         for one in self._state.attempts("playing"):
             assert one.start is not None
-            self._take_slot(one.start, outcomes, verdicts, resumed=True)
+            slot = self._take_slot(one.start, resumed=True)
+            while slot.left and slot.left[0] in outcomes:
+                verdict = verdicts.get(slot.left[0])
+                verified = verdict is not None and verdict.problem is None
+                self._was_played(slot, outcomes[slot.left[0]], verified=verified)
 
     def turn(self, seconds: float = 0.0) -> bool:
         """Start what can start, and store what is reported within `seconds`; return whether anything runs."""
@@ -359,8 +353,9 @@ class Server(Matches):
                 return {"state": "verifying", **reply}
             trial, trials = len(slot.trials) - len(slot.left) + 1, len(slot.trials)
             reply |= {"trial": trial, "trials": trials, "session": name}
-            if slot.entrant.key is not None and self._gate is not None:
-                reply["hub"] = gate_of(self._gate, slot.number).bind
+            next_one = self.matches[slot.left[0]]
+            if next_one.entrant.key is not None and next_one.gate is not None:
+                reply["hub"] = next_one.gate.bind
             return {"state": "playing", **reply}
         now, board = self._now(), self._newest_boards().seen_by(name)
         row = next((row for row in board.entrants if row.mine), EntrantRow(name))
@@ -384,9 +379,11 @@ class Server(Matches):
     def _newest_boards(self) -> Boards:
         """Return the boards after the last act, or somewhat older ones: they may take a fifth of the time."""
         clock = self._clock()
-        if self._boards is None or (self._boards_of != len(self._acts) and clock >= self._boards_until):
-            self._boards, self._boards_of = None, len(self._acts)
-            self._boards = Boards.of(self._store, replace(self._course, acts=list(self._acts)), self._now())
+        count = self._state.count
+        if self._boards is None or (self._boards_of != count and clock >= self._boards_until):
+            self._boards, self._boards_of = None, count
+            course = replace(self._course, acts=[*self._course.acts])  # as it is now
+            self._boards = Boards.of(self._store, course, self._now())
             self._boards.seen_by(ANYBODY)
             self._boards_until = self._clock() + 4 * (self._clock() - clock)
         return self._boards
@@ -434,13 +431,13 @@ class Server(Matches):
         """Write acts to the journal, and carry them out."""
         record_acts(self._store, acts)
         for one in acts:
-            self._acts.append(one)
+            self._course.acts.append(one)
             self._state.apply(one)
             if one.act == journal.REQUEST:
                 self._queued[one.subject] = self._clock()
             self._say(one.line)
         for slot in list(self._slots.values()):
-            if self._state.attempt(slot.entrant.name, slot.attempt.number).state != "playing":
+            if self._state.attempt(slot.attempt.entrant, slot.attempt.number).state != "playing":
                 self._leave(slot)
         self._looked = -math.inf
 
@@ -457,10 +454,10 @@ class Server(Matches):
         for one in state.attempts("waiting"):
             name = one.entrant
             asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
-            if self._must_ask(one) and clock - asked > _ABSENT_SECONDS:
+            if not one.instead and self._has_key(name) and clock - asked > _ABSENT_SECONDS:
                 self._act(journal.CANCEL, name, "its program has stopped asking for it", number=one.number)
         if state.closed is None and state.season.opens <= now < state.season.closes:
-            for name in self._named.keys() & state.entrants.keys():
+            for name in self._named:
                 entrant = state.entrants[name]
                 if not (entrant.attempts or entrant.excluded or self._has_key(name)):
                     self._act(journal.REQUEST, name, "its first", number=1)
@@ -468,10 +465,6 @@ class Server(Matches):
             self._begin(one)
         for slot in list(self._slots.values()):
             self._go_on(slot)
-
-    def _must_ask(self, one: Attempt) -> bool:
-        """Return whether an attempt waits only as long as its entrant's program asks for it."""
-        return not one.instead and self._has_key(one.entrant)
 
     def _present(self, name: str) -> bool:
         return name in self._seen and self._clock() - self._seen[name] < _PRESENT_SECONDS
@@ -492,17 +485,15 @@ class Server(Matches):
         """Let an attempt play, if there is a slot for it."""
         slot = self._free_slot()
         if slot is not None:
-            plays = self._plays(one)
+            entrant = self._state.entrants[one.entrant]
+            before = entrant.attempts[one.instead].start if one.instead else None
+            plays = entrant.present
+            if before is not None and IMAGE_ID.fullmatch(before.id):  # an image is run again as it was
+                plays = before
             more = {"player": plays.player, "id": plays.id, "value": str(slot)}
             start = act(journal.START, one.entrant, "", now=self._now(), number=one.number, **more)
             self._record(start)
-            self._take_slot(start, {}, {}, resumed=False)
-
-    def _plays(self, one: Attempt) -> Act:
-        """Return an act with the player of an attempt: an image is run again as it was."""
-        entrant = self._state.entrants[one.entrant]
-        before = entrant.attempts[one.instead].start if one.instead else None
-        return entrant.present if before is None or not IMAGE_ID.fullmatch(before.id) else before
+            self._take_slot(start, resumed=False)
 
     def _free_slot(self) -> int | None:
         """Return a slot that is free, and does not rest since an attempt failed there; None without one."""
@@ -511,36 +502,19 @@ class Server(Matches):
         rested = (slot for slot in slots if now >= self._rests.get(slot, now))
         return next((slot for slot in rested if slot not in taken), None)
 
-    def _take_slot(
-        self,
-        start: Act,
-        outcomes: Mapping[str, TrialEnd],
-        verdicts: Mapping[str, ReplayVerdict],
-        *,
-        resumed: bool,
-    ) -> None:
-        """Let an attempt have a slot, with trials some of which may have been played already."""
-        name, entrant = start.subject, self._player(start)
+    def _take_slot(self, start: Act, *, resumed: bool) -> _Slot:
+        """Let an attempt have a slot, and return it."""
+        name, number, entrant = start.subject, int(start.value), self._player(start)
         specs = attempt_trials(self._levels, self._competition.trials, start)
         if not resumed:
             add_trials(self._store, specs)
         competition = replace(self._competition, entrants=(entrant,))
-        gate = None if self._gate is None else gate_of(self._gate, int(start.value))
+        gate = None if self._gate is None else gate_of(self._gate, number)
         ids = [str(spec.id) for spec in specs]
         self.matches.update(zip(ids, matches(competition, specs, self._directory, gate), strict=True))
-        slot = _Slot(
-            self._state.attempt(name, start.number),
-            entrant,
-            int(start.value),
-            ids,
-            deque(trial_id for trial_id in ids if trial_id not in outcomes),
-            resumed,
-        )
-        self._slots[name] = slot
-        for trial_id in (one for one in ids if one in outcomes):
-            self._note_forfeit(slot, trial_id, outcomes[trial_id])
-            if trial_id not in verdicts or verdicts[trial_id].problem is not None:
-                self._verify(trial_id, outcomes[trial_id])
+        attempt = self._state.attempt(name, start.number)
+        slot = self._slots[name] = _Slot(attempt, number, ids, deque(ids), resumed)
+        return slot
 
     def _go_on(self, slot: _Slot) -> None:
         """Play the next trial of an attempt, or end the attempt when there is none."""
@@ -549,10 +523,6 @@ class Server(Matches):
         elif not slot.left and self._jobs.keys().isdisjoint(slot.trials):
             self._end(slot)
 
-    def _verify(self, trial_id: str, outcome: TrialEnd) -> None:
-        played = self.matches[trial_id]
-        self._add(trial_id, Replay(self._directory, played.spec, outcome, played.steps))
-
     def _add(self, trial_id: str, replay: Replay | None = None) -> None:
         """Let a trial be played, or replayed."""
         limits = self._competition.limits
@@ -560,19 +530,21 @@ class Server(Matches):
         self._jobs[trial_id] = _Job(self._clock() + seconds, replay)
         self.dispatcher.add(trial_id)
 
-    def _note_forfeit(self, slot: _Slot, trial_id: str, outcome: TrialEnd) -> None:
-        if outcome.reason is None:
-            return
-        if not slot.forfeit:
-            _, task, number = TrialId(trial_id).parts
-            slot.forfeit = f"{task}, trial {number % self._competition.trials}: {outcome.reason}"
-        if slot.entrant.key is not None and outcome.reason.startswith(NOT_CONNECTED):
+    def _was_played(self, slot: _Slot, outcome: TrialEnd, *, verified: bool = False) -> None:
+        """Note how the next trial of an attempt has ended, and let it be replayed unless it is verified."""
+        played = self.matches[slot.left.popleft()]
+        reason, (_, task, number) = outcome.reason, played.spec.id.parts
+        if reason is not None and not slot.forfeit:
+            slot.forfeit = f"{task}, trial {number % self._competition.trials}: {reason}"
+        if played.entrant.key is not None and reason is not None and reason.startswith(NOT_CONNECTED):
             for left in slot.left:  # nobody waits for it in each of them again
-                self.matches[left] = replace(self.matches[left], absent=outcome.reason)
+                self.matches[left] = replace(self.matches[left], absent=reason)
+        if not verified:
+            self._add(played.spec.id, Replay(self._directory, played.spec, outcome, played.steps))
 
     def _end(self, slot: _Slot) -> None:
         """Record that an attempt is over, and pause an entrant that fails again and again."""
-        name = slot.entrant.name
+        name = slot.attempt.entrant
         self._act(journal.OVER, name, slot.forfeit, number=slot.attempt.number)
         most = self._state.season.failures
         entrant = self._state.entrants[name]
@@ -582,7 +554,7 @@ class Server(Matches):
 
     def _fail(self, slot: _Slot, why: str) -> None:
         """Record that an attempt has failed, not by its entrant's fault, and let another wait for it."""
-        name, now = slot.entrant.name, self._now()
+        name, now = slot.attempt.entrant, self._now()
         attempts = self._state.entrants[name].attempts
         ours = act(journal.OURS, name, why, now=now, number=slot.attempt.number)
         kind = journal.RERUN if slot.attempt.instead else journal.REQUEST
@@ -597,7 +569,7 @@ class Server(Matches):
 
     def _leave(self, slot: _Slot) -> None:
         """Take the slot from an attempt that is no longer played."""
-        del self._slots[slot.entrant.name]
+        del self._slots[slot.attempt.entrant]
         for trial_id in slot.trials:
             self.forget(trial_id)
             self._jobs.pop(trial_id, None)
@@ -611,7 +583,9 @@ class Server(Matches):
     def take(self, trial_id: str, report: Any) -> None:
         """Store a report."""
         if isinstance(report, ReplayVerdict):
-            self._jobs[trial_id].verdict = report
+            record_verdict(self._store, trial_id, report)
+            if report.problem is not None:
+                self._jobs[trial_id].problem = f"{trial_id} could not be verified: {report.problem}"
         else:
             super().take(trial_id, report)
 
@@ -620,27 +594,18 @@ class Server(Matches):
         return self._jobs[trial_id].replay is not None or super().starts_again(trial_id)
 
     def end(self, trial_id: str, failure: str | None) -> None:
-        """Store the outcome of a trial that was played, or the verdict of one that was replayed."""
+        """Store the outcome of a trial that was played, and go on after one that was played or replayed."""
         slot = self._slots[TrialId(trial_id).parts[0]]
         job = self._jobs.pop(trial_id)
+        failure = failure or job.problem
+        if slot.resumed and self._forfeits.get(trial_id, "").startswith(NOT_CONNECTED):
+            failure = failure or "the server was restarted, and its program did not come back"
         if failure is not None:
             if trial_id in self._records:
                 super().end(trial_id, failure)
             self._fail(slot, failure)
-        elif job.verdict is not None:
-            record_verdict(self._store, trial_id, job.verdict)
-            if job.verdict.problem is not None:
-                self._fail(slot, f"{trial_id} could not be verified: {job.verdict.problem}")
-            else:
-                self._go_on(slot)
-        elif slot.resumed and self._forfeits.get(trial_id, "").startswith(NOT_CONNECTED):
-            why = "the server was restarted, and its program did not come back"
-            super().end(trial_id, why)
-            self._fail(slot, why)
-        else:
-            outcome = self._finish(trial_id)
+            return
+        if job.replay is None:
             slot.resumed = False
-            self._note_forfeit(slot, trial_id, outcome)
-            slot.left.popleft()
-            self._verify(trial_id, outcome)
-            self._go_on(slot)
+            self._was_played(slot, self._finish(trial_id))
+        self._go_on(slot)

@@ -1,31 +1,23 @@
-"""Try an agent at home, on the tasks of a season, as its server would play them.
+"""What a season tells of its tasks, for trying an agent at home: not its secret levels.
 
-The season tells what is played, without its secret levels: here they are drawn from a public seed. It is not
-trusted: only environments that are installed here, by their names, are played.
+It is not trusted there: only environments that are installed, by their names, are played.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from experiment_runner.competition.check import in_words, tried
-from experiment_runner.competition.match import MODULE, REPORTS
-from experiment_runner.competition.organiser import check, matches
-from experiment_runner.competition.settings import Competition, Entrant
-from experiment_runner.competition.starters import starter_for
-from experiment_runner.competition.trials import trials
-from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.competition.settings import Competition
 from glue.console import one_line
 from glue.errors import ExperimentError
 from glue.plugins.loading import names
 from glue.wire.messages import Role
 
-_SEED: Final = b"at home"
 _TOLD: Final = ("name", "trials", "limits", "tasks")
 _OTHERS: Final = ("episodes", "steps", "max_steps", "rate", "late")
 _LEVELS: Final = ("level_seed", "mdp")
@@ -64,36 +56,3 @@ def competition_of(told: Mapping[str, Any]) -> Competition:
                 "organiser knows which"
             )
     return competition
-
-
-def try_entrant(competition: Competition, entrant: Entrant, folder: Path, say: Callable[[str], None]) -> int:
-    """Let an entrant play an attempt; return the number of trials that it would have forfeited.
-
-    Args:
-        competition: its tasks and limits.
-        entrant: an image or a command.
-        folder: for the logs.
-        say: shows a line.
-
-    Raises:
-        ConfigError: the entrant cannot be started, or there is no such environment here.
-    """
-    found = replace(entrant, id=check(entrant, competition.limits))
-    competition = replace(competition, entrants=(found,))
-    made = matches(competition, trials(competition, _SEED), folder)
-    starter_for(found).sweep(made[0].run)
-    failed = 0
-    with LocalExecutor(1, MODULE, REPORTS, warm=[task.env for task in competition.tasks]) as executor:
-        for match in made:
-            episodes, used, problem = tried(executor, match)
-            _, task, number = match.spec.id.parts
-            steps = sum(episode.steps for episode in episodes)
-            total = sum(episode.episode_return for episode in episodes)
-            failed += problem is not None
-            played = f"score {total:.10g} in {len(episodes)} episodes, {steps:,} steps"
-            say(f"{task}, trial {number + 1} of {competition.trials}: {problem or played}")
-            if used is not None:
-                say(f"    {in_words(used, competition.limits)}")
-            if problem is not None:
-                say(f"    what it printed is in {match.log}")
-    return failed

@@ -42,11 +42,10 @@ def _entries(board: SeasonBoard) -> Iterator[tuple[str, str]]:
         yield act.time, line_of(act)
     for entrant in board.entrants:
         for one in entrant.attempts:
-            if one.ended and one.state == "verified":
-                score = f", score {number(one.score)}" if board.tasks else ""
-                yield one.ended, f"{entrant.shown}: attempt {one.number} verified{score}"
-            elif one.ended and one.state == "forfeited":
-                yield one.ended, f"{entrant.shown}: attempt {one.number} forfeited"
+            if one.ended and one.state in ("verified", "forfeited"):
+                known = one.state == "verified" and board.tasks
+                score = f", score {number(one.score)}" if known else ""
+                yield one.ended, f"{entrant.shown}: attempt {one.number} {one.state}{score}"
 
 
 def _id(*parts: str) -> str:

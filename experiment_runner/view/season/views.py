@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Hashable
+from contextlib import suppress
 from datetime import datetime
 from hashlib import sha256
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
-from experiment_runner.competition.course import Course, course_of
+from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.copies import with_copies
 from experiment_runner.competition.records.record import record_path
 from experiment_runner.competition.season.board import ORGANISER, PUBLIC, Boards
@@ -37,18 +38,6 @@ _SECONDS: Final = 60
 """A board may change with time alone, as when the season opens; it is computed again at least this often."""
 
 
-class _Season(NamedTuple):
-    """A season as it was read.
-
-    signs       differ when it has changed
-    boards, course
-    """
-
-    signs: object
-    boards: Boards
-    course: Course
-
-
 class Views:
     """The contents of a season that each viewer may see. May be called from any thread.
 
@@ -63,6 +52,7 @@ class Views:
         self._lock = threading.RLock()
         self._cache = Cache(_MOST_ANSWERS, _REST)
         self._known: tuple[object, dict[str, str]] = object(), {}
+        self._signs: object = None  # of the boards, which differ when the season has changed
 
     @property
     def state(self) -> State:
@@ -71,15 +61,15 @@ class Views:
         Raises:
             ExperimentError: the season cannot be read.
         """
-        return self._season().course.state
+        return self._boards().course.state
 
     def board(self, viewer: str) -> bytes:
         """Return the board as JSON."""
 
-        def compute(season: _Season) -> object:
-            state = season.course.state
-            rules = rules_of(season.course.competition, state.season)
-            return board_as_json(season.boards.seen_by(viewer), state, rules, viewer, self._clock())
+        def compute(boards: Boards) -> object:
+            state = boards.course.state
+            rules = rules_of(boards.course.competition, state.season)
+            return board_as_json(boards.seen_by(viewer), state, rules, viewer, self._clock())
 
         return self._json(("board", viewer), compute)
 
@@ -90,13 +80,13 @@ class Views:
             KeyError: this viewer knows no entrant of that name.
         """
         return self._json(
-            ("entrant", viewer, shown), lambda season: entrant_as_json(season.boards.seen_by(viewer), shown)
+            ("entrant", viewer, shown), lambda boards: entrant_as_json(boards.seen_by(viewer), shown)
         )
 
     def feed(self) -> bytes:
         """Return the events of the season as an Atom feed."""
         with self._lock:
-            return feed_of(self._season().boards.seen_by(PUBLIC))
+            return feed_of(self._boards().seen_by(PUBLIC))
 
     def viewers(self) -> dict[str, str]:
         """Return who may see more than others, by the digest of their token: an entrant, or `ORGANISER`.
@@ -107,9 +97,8 @@ class Views:
         with self._lock:
             signs = version(self.directory / JOURNAL_FILE)
             if self._known[0] != signs:
-                state = course_of(self.directory).state
-                state.season  # noqa: B018  # there has to be one
-                found = {one.act.token: name for name, one in state.entrants.items() if one.act.token}
+                entrants = course_of(self.directory).state.entrants.items()
+                found = {one.act.token: name for name, one in entrants if one.act.token}
                 organiser = digest_of(organisers_token(self.directory))
                 self._known = signs, found | {organiser: ORGANISER}
             return self._known[1]
@@ -141,49 +130,40 @@ class Views:
         name = f"{shown}, attempt {attempt}: {task}, trial {trial}"
         return replayed(name, with_copies(spec, self.directory), record_path(self.directory, found), episode)
 
-    def _trials(self, viewer: str, shown: str, attempt: int) -> dict[tuple[str, int], TrialId]:
+    def _trials(self, viewer: str, shown: str, number: int) -> dict[tuple[str, int], TrialId]:
         """Return the trials of a verified attempt, of tasks that this viewer may know, by task and number."""
         with self._lock:
-            season = self._season()
-            board = season.boards.seen_by(viewer)
+            boards = self._boards()
+            board = boards.seen_by(viewer)
         row = row_of(board, shown)
-        if not any(one.number == attempt and one.state == "verified" for one in row.attempts):
+        if not any(one.number == number and one.state == "verified" for one in row.attempts):
             raise KeyError(shown)
-        entrants = season.course.state.entrants.items()
-        name = row.name or next((name for name, one in entrants if one.act.alias == shown), shown)
-        count = season.course.competition.trials
-        return {
-            (task, number): TrialId.of(name, task, (attempt - 1) * count + number)
-            for task in board.tasks
-            for number in range(count)
-        }
+        state, count = boards.course.state, boards.course.competition.trials
+        aliases = {one.act.alias: name for name, one in state.entrants.items()}
+        return state.attempt(row.name or aliases[shown], number).trials(board.tasks, count)
 
-    def _json(self, question: Hashable, compute: Callable[[_Season], object]) -> bytes:
+    def _json(self, question: Hashable, compute: Callable[[Boards], object]) -> bytes:
         with self._lock:
-            season = self._season()
-            # Not the signs of this moment: the season may be one of a moment ago.
-            found: bytes = self._cache.get(question, season.signs, lambda: as_json(compute(season)).encode())
+            boards = self._boards()
+            # Not the signs of this moment: the boards may be those of a moment ago.
+            found: bytes = self._cache.get(question, self._signs, lambda: as_json(compute(boards)).encode())
             return found
 
-    def _season(self) -> _Season:
+    def _boards(self) -> Boards:
+        names = (*DATABASE_FILES[:2], JOURNAL_FILE)
         with self._lock:
-            signs = self._signs()
-            found: _Season = self._cache.get("season", signs, lambda: self._read(signs))
+            minute = int(self._clock().timestamp()) // _SECONDS
+            signs = minute, *(version(self.directory / name) for name in names)
+            found: Boards = self._cache.get("boards", signs, lambda: self._read(signs))
             return found
 
-    def _read(self, signs: object) -> _Season:
+    def _read(self, signs: object) -> Boards:
         course = course_of(self.directory)
         with Results.open(self.directory) as results:
             boards = Boards.of(results, course, self._clock())
         boards.seen_by(PUBLIC)  # counts as part of the time that it takes
-        return _Season(signs, boards, course)
-
-    def _signs(self) -> object:
-        names = (*DATABASE_FILES[:2], JOURNAL_FILE)
-        return (
-            int(self._clock().timestamp()) // _SECONDS,
-            *(version(self.directory / name) for name in names),
-        )
+        self._signs = signs
+        return boards
 
 
 def digest_of(token: str) -> str:
@@ -198,11 +178,9 @@ def organisers_token(directory: Path) -> str:
         StorageError: its file cannot be read, or not be written.
     """
     path = directory / TOKEN_FILE
-    with reported(f"cannot read {path}"):
-        try:
-            return read_regular(path, _MOST_TOKEN, own=True).decode().strip()
-        except FileNotFoundError:
-            token = new_token()
+    with reported(f"cannot read {path}"), suppress(FileNotFoundError):
+        return read_regular(path, _MOST_TOKEN, own=True).decode().strip()
+    token = new_token()
     with reported(f"cannot write {path}"), create_regular(path, 0o600) as file:
         file.write(f"{token}\n".encode())
         file.flush()

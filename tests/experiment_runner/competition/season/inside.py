@@ -15,9 +15,9 @@ from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.verify import judge
 from experiment_runner.competition.season.control import Attempt, Enrol, Organise, Reply, Request
 from experiment_runner.competition.season.server import Server
-from experiment_runner.competition.season.worker import Replay
 from experiment_runner.competition.settings import Competition, Gate, parse_competition
 from experiment_runner.competition.state import State
+from experiment_runner.competition.worker import Replay
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended

@@ -1,17 +1,16 @@
-"""A season's workers, which play a trial or replay one that is over, and the machines that they are on."""
+"""The workers of a competition, which play a trial or replay one that is over, and where they are."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, Self, get_args
 
-from experiment_runner.competition import match
-from experiment_runner.competition.match import Match, play
+from experiment_runner.competition.match import Match, Report, play
 from experiment_runner.competition.records.verify import judge
-from experiment_runner.competition.settings import Competition
+from experiment_runner.competition.settings import Competition, Task
 from experiment_runner.competition.starters import starter_for
 from experiment_runner.executors.dispatcher import Executor
 from experiment_runner.executors.job import Ended, Lost, decode
@@ -20,10 +19,11 @@ from experiment_runner.plan.limits import Backend
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
+from glue.options import build
+from glue.plugins.loading import find
+from glue.wire.messages import Role
 
-MODULE: Final = "experiment_runner.competition.season.worker"
-
-prepare: Callable[[Sequence[str]], None] = match.prepare
+MODULE: Final = "experiment_runner.competition.worker"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +41,19 @@ class Replay:
     steps: int
 
 
-REPORTS: Final[Mapping[str, type[Any]]] = {**match.REPORTS, ReplayVerdict.__name__: ReplayVerdict}
-"""The reports of both, by name."""
+REPORTS: Final[Mapping[str, type[Any]]] = {one.__name__: one for one in get_args(Report | ReplayVerdict)}
+"""The reports of matches and replays, by name."""
+
+
+def prepare(environments: Sequence[str]) -> None:
+    """Import environments and load what they have compiled, for the processes that are forked from this one.
+
+    Those in a user's own file are left to each process: what the file does is not known.
+    """
+    for name in environments:
+        if ":" not in name:
+            with suppress(Exception):  # a process that plays says what is wrong
+                build(find(Role.ENVIRONMENT, name), {}).env_init()
 
 
 def work(value: Any, send: Callable[[object], None]) -> None:
@@ -54,6 +65,11 @@ def work(value: Any, send: Callable[[object], None]) -> None:
             with Results.open(job.directory) as results:
                 send(judge(results, job.spec, job.outcome, job.steps))
             send(Ended(None))
+
+
+def executor(size: int, tasks: Iterable[Task]) -> LocalExecutor:
+    """Return the executor of so many matches and replays at once of these tasks, on this machine."""
+    return LocalExecutor(size, MODULE, REPORTS, warm=[task.env for task in tasks])
 
 
 def executor_of(competition: Competition, backend: Backend, address: str | None) -> Executor:
@@ -69,10 +85,8 @@ def executor_of(competition: Competition, backend: Backend, address: str | None)
     """
     assert competition.season is not None
     size = 2 * competition.season.parallel
-    here = LocalExecutor(size, MODULE, REPORTS, warm=[task.env for task in competition.proving])
-    if backend is Backend.RAY:
-        return Spread(here, RayExecutor(address, size, work, match.REPORTS))
-    return here
+    here = executor(size, competition.proving)
+    return Spread(here, RayExecutor(address, size, work, REPORTS)) if backend is Backend.RAY else here
 
 
 class Spread:
