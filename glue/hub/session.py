@@ -300,10 +300,12 @@ class Session:
             self._fail(code, reason)
 
     def enforce_time(self) -> None:
-        """Dismiss an agent that has run out of time without answering."""
+        """Dismiss an agent that has run out of time without answering a call whose answer is still needed."""
         agent = self.peers.get(Role.AGENT)
-        why = None if self.time is None else self.time.overdue()
-        if agent is not None and why is not None:
+        if self.time is None or agent is None or self._awaited(Role.AGENT) is None:
+            return
+        why = self.time.overdue()
+        if why is not None:
             self._host.dismiss(agent, why)
 
     def report_if_slow(self, now: float) -> None:

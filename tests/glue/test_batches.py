@@ -27,14 +27,17 @@ from glue.batches import (
 from glue.client.sockets import SocketTransport
 from glue.engine.experiment import Experiment
 from glue.errors import ConfigError, GlueError, PeerFailed, RemoteProtocolError, Unsupported
+from glue.hub.config import Bind
 from glue.hub.io.loop import READ, Loop
 from glue.plugins.batched import BatchedEnvironments
 from glue.roles import capabilities
 from glue.system.spinning import LONG_SPIN_SECONDS, SPIN_SECONDS
 from glue.types import Step
-from tests.hubs import over_the_hub
+from glue.wire.messages import Kind, Role
+from tests.hubs import over_the_hub, running
 from tests.pages import DOCS, blocks, section
 from tests.players import ActingInAll, ScriptedAgent, ScriptedEnvironment
+from tests.scripted.peer import ScriptedPeer
 
 Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]
 PROTOCOL = (DOCS / "protocol-reference.md").read_text(encoding="utf-8")
@@ -163,6 +166,20 @@ def test_peers_of_many_games_spin_longer_before_they_sleep(monkeypatch: pytest.M
     with over_the_hub(Vector(), BatchedEnvironments([ScriptedEnvironment()])) as experiment:
         experiment.rl_init()
     assert sorted(spun) == [0.0, 0.0, LONG_SPIN_SECONDS, LONG_SPIN_SECONDS]
+
+
+def test_a_peer_that_is_refused_makes_no_hub_spin(monkeypatch: pytest.MonkeyPatch) -> None:
+    spun: list[Loop] = []
+    monkeypatch.setattr(Loop, "spin_longer", lambda loop: spun.append(loop))
+    no_agents = Bind("tcp://127.0.0.1:*", roles=frozenset({Role.ENVIRONMENT}))
+    with running(bind=no_agents) as hub, ScriptedPeer(hub.endpoints[0]).greet() as peer:
+        peer.hello("agent", abilities=("batch",))
+        assert peer.receive().kind is Kind.REFUSE
+        peer.hello("environment", abilities=("batch",))
+        assert peer.receive().kind is Kind.WELCOME
+        peer.hello("agent")  # when it is answered, the others have been dealt with
+        assert peer.receive().kind is Kind.REFUSE
+    assert len(spun) == 1
 
 
 class Answering:

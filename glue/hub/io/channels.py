@@ -335,8 +335,9 @@ class Channels:
     def greeted(self, channel: _SocketChannel, hello: Message) -> None:
         """Note that a HELLO of a connection was answered."""
         channel.account()
-        if channel.in_session:
-            self._without_session.pop(channel, None)
+        if not channel.in_session:
+            return
+        self._without_session.pop(channel, None)
         capabilities: Any = hello.scalars[-1]
         if "batch" in capabilities:
             self.loop.spin_longer()

@@ -14,6 +14,7 @@ import platform
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from typing import Final
 
 from glue.client.answers import ServedPlayer, failure
 from glue.client.experiment import connect_over
@@ -31,6 +32,9 @@ from glue.wire.messages import CALLS, PROTOCOL_VERSION, Kind, Message, Role
 
 _WAITING = Pace()
 _NO_PLAYERS: Mapping[Role, AgentLike | EnvironmentLike] = {}
+
+_MAX_WAITING: Final = 10_000
+"""Maximum number of messages for an experiment that does not receive them; with more, it is unreachable."""
 
 
 class InsideTransport:
@@ -141,8 +145,12 @@ class InsideTransport:
     # The hub's side, as a channel of the sessions.
 
     def deliver(self, message: Message) -> bool:
-        """Hand the experiment a message."""
-        self._received.append(message)
+        """Hand the experiment a message; return False if too many wait for it."""
+        received, kind = self._received, message[0]
+        if len(received) >= _MAX_WAITING and kind is not Kind.GOODBYE:
+            return False
+        if not received or kind is not Kind.HEARTBEAT:  # any other shows as well that the hub is there
+            received.append(message)
         return True
 
     def admits(self, role: Role, session: str) -> bool:

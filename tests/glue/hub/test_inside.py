@@ -106,6 +106,18 @@ def test_an_interrupted_verb_ends_the_hub(hub: Hub, monkeypatch: pytest.MonkeyPa
             glue.rl_num_steps()
 
 
+def test_messages_for_an_experiment_that_pauses_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inside_hub, "_MAX_WAITING", 3)
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",))) as hub:
+        transport = InsideTransport(hub)
+        beat, notice, goodbye = (Message(kind, "", 0) for kind in (Kind.HEARTBEAT, Kind.NOTICE, Kind.GOODBYE))
+        assert all(transport.deliver(beat) for _ in range(100))
+        assert [transport.deliver(notice) for _ in range(3)] == [True, True, False]
+        assert [transport.deliver(beat), transport.deliver(goodbye)] == [False, True]
+        transport.receive_message(0)  # the first returns nothing
+        assert [transport.receive_message(0) for _ in range(4)] == [beat, notice, notice, goodbye]
+
+
 class Interrupting:
     """Raises KeyboardInterrupt at one of the points of a hub's loop where Python may handle Ctrl-C.
 

@@ -180,6 +180,16 @@ def test_an_agent_that_sleeps_is_dismissed_at_a_tick(timed: tuple[Rig, Clock]) -
     assert [message.kind for message in rig.received("a")] == [Kind.GOODBYE]
 
 
+def test_a_call_whose_answer_nobody_needs_takes_no_time(timed: tuple[Rig, Clock]) -> None:
+    rig, clock = timed
+    rig.put("x", Kind.GOODBYE, 0, "interrupted")  # in the middle of a step
+    rig.answer("a")
+    clock.now += 1e4
+    rig.tick(1.0)
+    assert rig.received("a") == []
+    assert Role.AGENT in rig.sessions._by_name["s"].peers
+
+
 def test_the_environment_has_all_the_time(timed: tuple[Rig, Clock]) -> None:
     rig, clock = timed
     assert rig.answer("a") is Kind.AGENT_STEP
