@@ -27,14 +27,9 @@ FILE = """\
 name = "spring"
 seed_env = "SECRET"
 trials = 2
-[tasks.mines]
-env = "mines"
-options = { random_start = true }
-steps = 20
-[entrants.alice]
-command = ["true"]
-[entrants.bob]
-command = ["true"]
+tasks.mines = { env = "mines", options.random_start = true, steps = 20 }
+entrants.alice.command = ["true"]
+entrants.bob.command = ["true"]
 """
 
 
@@ -113,7 +108,7 @@ def test_who_is_added_plays_the_same_levels(run: Run) -> None:
     run.executor.agents["bob"] = None
     run.goes_on()
     late = run.folder / "late.toml"
-    late.write_text(FILE + '[entrants.carol]\ncommand = ["true"]\n')
+    late.write_text(FILE + 'entrants.carol.command = ["true"]\n')
     run.organise("add", **addition(run.course, late, SECRET))
     del run.executor.agents["bob"]
     run.goes_on()

@@ -17,7 +17,7 @@ from starlette.types import Receive, Scope, Send
 from experiment_runner.competition.season.control import Key, Reply, Request
 from experiment_runner.competition.season.entrance import routes
 from glue.client.libzmq import new_pair
-from glue.client.season import PREFIX, Membership, Page
+from glue.client.season import PREFIX, Membership, Page, Season
 from glue.errors import ExperimentError
 from glue.keys.certificates import KeyPair, encode, write_pair
 from glue.keys.requests import signed
@@ -27,16 +27,9 @@ from tests.experiment_runner.view.pages import in_thread
 
 FILE = (
     inside.FILE.replace("failures = 2", 'images = true\nmost_bytes = "1m"')
-    + """\
-final = { env = "skeleton", episodes = 3 }
-[tasks.secret]
-env = "mines"
-options = { level_seed = 7, random_start = false }
-episodes = 3
-rate = 50
-phase = "proving"
-hidden = true
-"""
+    + 'final = { env = "skeleton", episodes = 3 }\n'
+    + 'secret = { env = "mines", options = { level_seed = 7, random_start = false }, episodes = 3, '
+    + 'rate = 50, phase = "proving", hidden = true }\n'
 )
 
 
@@ -55,6 +48,7 @@ class Entrance:
         self.replies: list[Reply | Exception] = []
         self.asked: list[Request] = []
         self.pair = new_pair()
+        _, self.secret = write_pair(folder, "alice", self.pair)
         self.port = 0
 
     def start(self, now: Callable[[], float] = time.time) -> None:
@@ -100,10 +94,21 @@ class Entrance:
         finally:
             connection.close()
 
-    def membership(self, folder: Path) -> Membership:
-        """Return what alice has of the season, with her key in a folder."""
-        _, secret = write_pair(folder, "alice", self.pair)
-        return Membership(self.url, "alice", secret, encode(new_pair().public), "token")
+    def refuses(self, status: int, why: str, content: bytes = b"{}", **more: Any) -> None:
+        """Send a request as `ask` does, which is refused for this reason."""
+        found, _, answer = self.ask(content, **more)
+        assert found == status, answer
+        assert why in answer["error"]
+
+    @property
+    def membership(self) -> Membership:
+        """What alice has of the season."""
+        return Membership(self.url, "alice", self.secret, encode(new_pair().public), "token")
+
+    @property
+    def season(self) -> Season:
+        """The season as her programs see it."""
+        return Season(self.membership)
 
 
 @contextmanager
