@@ -204,8 +204,12 @@ class Season:
         """Let entrants enrol; return their tokens."""
         return [self.ask(Enrol(name, encode(new_pair().public), CODE))["token"] for name in names]
 
-    def attempt(self, name: str) -> int:
-        """Let an entrant play an attempt, until it is over; return its number."""
+    def attempt(self, name: str, *agent: Any) -> int:
+        """Let an entrant play an attempt, until it is over, from now on with another agent if there is one;
+        return its number.
+        """
+        if agent:
+            (self.executor.agents[name],) = agent
         number: int = self.ask(Attempt(name))["attempt"]
         self.turns()
         return number

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,25 +17,18 @@ from glue.client.season import Membership, read_membership
 from glue.errors import ExperimentError
 from glue.keys.certificates import encode, read_pair
 from tests import forked
-from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
+from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance, shared
 
-SHORT = FILE.partition("secret = ")[0].replace("trials = 2", "trials = 1")
+__all__ = ["entrance", "shared"]
 
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Entrance]:
-    with entrance_at(tmp_path_factory.mktemp("season") / "run", SHORT) as entrance:
-        yield entrance
+TEXT = FILE.partition("secret = ")[0].replace("trials = 2", "trials = 1")
 
 
-@pytest.fixture
-def entrance(shared: Entrance, tmp_path: Path) -> Entrance:
-    """An entrance; the test's folder holds what alice has of the season."""
-    shared.replies.clear()
-    shared.asked.clear()
+@pytest.fixture(autouse=True)
+def member(shared: Entrance, tmp_path: Path) -> None:
+    """Write what alice has of the season into the test's folder."""
     shared.membership.write(tmp_path / "season.toml")
     shutil.copy(shared.secret, tmp_path)
-    return shared
 
 
 def run(folder: Path, *arguments: str, status: int = 0, **settings: str) -> subprocess.CompletedProcess[str]:

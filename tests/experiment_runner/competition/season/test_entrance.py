@@ -26,21 +26,10 @@ from glue.client.libzmq import new_pair
 from glue.client.season import PREFIX, Page, SeasonBusy, SeasonRefused, join
 from glue.errors import ExperimentError
 from glue.keys.certificates import encode, write_pair
-from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
+from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance, entrance_at, shared
 from tests.system.runs import wait_until
 
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Entrance]:
-    with entrance_at(tmp_path_factory.mktemp("season") / "run") as entrance:
-        yield entrance
-
-
-@pytest.fixture
-def entrance(shared: Entrance) -> Entrance:
-    shared.replies.clear()
-    shared.asked.clear()
-    return shared
+__all__ = ["entrance", "shared"]
 
 
 def test_a_reply_with_which_nobody_can_play_is_refused(entrance: Entrance, tmp_path: Path) -> None:
@@ -69,14 +58,14 @@ def test_strangers_and_posers_do_not_reach_the_server(entrance: Entrance) -> Non
         entrance.headers(pair=new_pair()),
         entrance.headers(what="withdraw"),
     ):
-        assert entrance.ask(headers=headers)[0] == 403, headers
+        assert entrance.ask(headers=headers).status == 403, headers
     assert not entrance.asked
 
 
 def test_a_request_that_was_overheard_cannot_be_sent_again(entrance: Entrance) -> None:
     entrance.replies = [{"state": "waiting", "attempt": 1}]
     headers = entrance.headers()
-    assert entrance.ask(headers=headers)[0] == 200
+    assert entrance.ask(headers=headers).status == 200
     entrance.refuses(403, "has come before", headers=headers)
     assert len(entrance.asked) == 1
 
@@ -93,14 +82,14 @@ def test_a_request_that_was_overheard_cannot_be_sent_again(entrance: Entrance) -
     ],
 )
 def test_a_body_is_a_small_json_object(entrance: Entrance, body: bytes, status: int) -> None:
-    assert entrance.ask(body)[0] == status
+    assert entrance.ask(body).status == status
     assert not entrance.asked
 
 
 def test_nobody_asks_for_another_or_for_something_else(entrance: Entrance) -> None:
     body = b'{"do": "withdraw", "entrant": "bob", "attempt": 2}'
     entrance.replies = [{}]
-    assert entrance.ask(body)[0] == 200
+    assert entrance.ask(body).status == 200
     assert entrance.asked == [Attempt("alice", 2)]
 
 
@@ -119,9 +108,9 @@ def test_what_the_server_says_reaches_its_entrant(entrance: Entrance) -> None:
 
 def test_without_a_server_one_is_asked_to_come_again(tmp_path: Path) -> None:
     with entrance_at(tmp_path / "run", server=False) as entrance:
-        status, found, answer = entrance.ask()
-    assert (status, found["retry-after"]) == (503, "10")
-    assert "not running" in answer["error"]
+        answer = entrance.ask()
+    assert (answer.status, answer.headers["retry-after"]) == (503, "10")
+    assert "not running" in answer.json()["error"]
 
 
 def test_the_tasks_are_told_without_what_is_hidden(entrance: Entrance) -> None:
@@ -205,7 +194,7 @@ def test_what_was_signed_for_an_earlier_start_of_the_page_is_to_be_signed_anew(
         entrance.replies = [{"state": "waiting", "attempt": 1}]
         season = entrance.season
         overheard = entrance.headers(now=time.time() + fast)
-        assert entrance.ask(headers=overheard)[0] == 200
+        assert entrance.ask(headers=overheard).status == 200
         entrance.replies = [{"state": "waiting", "attempt": 1}]
         season.ask("attempt")
         entrance.asked.clear()

@@ -106,8 +106,7 @@ def test_as_many_play_as_there_are_slots_each_at_its_port(season: Season) -> Non
 
 def test_a_failure_of_ours_costs_no_attempt_and_is_tried_again(season: Season) -> None:
     season.enrol("bob")
-    season.executor.agents["alice"] = "the disk is on fire"
-    season.attempt("alice")
+    season.attempt("alice", "the disk is on fire")
     assert season.states("alice") == {1: "ours", 2: "waiting"}
     assert season.state.attempt("alice", 1).why == "the disk is on fire"
     season.attempt("bob")
@@ -124,8 +123,7 @@ def test_a_failure_of_ours_costs_no_attempt_and_is_tried_again(season: Season) -
 
 def test_nothing_is_played_without_end_nor_costs_anything_of_the_day_after(season: Season) -> None:
     season.act("grant", "alice", number=1)
-    season.executor.agents["alice"] = None
-    season.attempt("alice")
+    season.attempt("alice", None)
     season.days(1)
     season.seconds += 10_000
     season.turns()
@@ -140,8 +138,7 @@ def test_nothing_is_played_without_end_nor_costs_anything_of_the_day_after(seaso
 
 def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(season: Season) -> None:
     for agent in (Raising(), Walker(), Raising()):
-        season.executor.agents["alice"] = agent
-        season.attempt("alice")
+        season.attempt("alice", agent)
     assert season.state.entrants["alice"].paused == ""
     season.days(1)
     season.attempt("alice")
@@ -149,14 +146,12 @@ def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(sea
     assert paused.startswith("it has forfeited 2 attempts in a row, the last in mines, trial 0: ")
     season.refuses(Attempt("alice"), "alice is paused: it has forfeited")
     season.act("resume", "alice")
-    del season.executor.agents["alice"]
-    season.attempt("alice")
+    season.attempt("alice", Walker())
     assert season.state.entrants["alice"].failed == 0
 
 
 def test_nobody_is_paused_for_the_final_by_an_attempt_that_ends_after_the_season(season: Season) -> None:
-    season.executor.agents["alice"] = Raising()
-    season.attempt("alice")
+    season.attempt("alice", Raising())
     season.ask(Attempt("alice"))
     season.act("close")
     season.turns()
@@ -165,8 +160,7 @@ def test_nobody_is_paused_for_the_final_by_an_attempt_that_ends_after_the_season
 
 
 def test_an_exclusion_takes_effect_at_once_and_can_be_taken_back(season: Season) -> None:
-    season.executor.agents["alice"] = None
-    season.attempt("alice")
+    season.attempt("alice", None)
     assert set(season.executor.jobs) == {"alice/mines/0"}
     assert season.ask(Key("alice"))["key"]
     season.act("exclude", "alice")
@@ -176,8 +170,7 @@ def test_an_exclusion_takes_effect_at_once_and_can_be_taken_back(season: Season)
     for refused in (Attempt("alice"), Organise("rerun", "alice", why="because")):
         season.refuses(refused, "alice is excluded: because")
     season.act("readmit", "alice")
-    del season.executor.agents["alice"]
-    season.attempt("alice")
+    season.attempt("alice", Walker())
     assert season.states("alice") == {1: "ours", 2: "over"}
 
 
@@ -195,9 +188,8 @@ def test_an_attempt_is_run_again_at_no_cost_when_its_program_is_there(season: Se
 
 def test_a_restart_goes_on_where_it_was(season: Season) -> None:
     season.enrol("bob")
-    season.executor.agents = {"alice": None, "bob": None}
     for name in ("alice", "bob"):
-        season.attempt(name)
+        season.attempt(name, None)
     season.act("exclude", "alice")
     season.executor.agents.clear()
     season.restart()
@@ -221,8 +213,7 @@ def test_what_was_over_before_a_restart_stays_over(season: Season) -> None:
 
 
 def test_one_that_does_not_come_back_after_a_restart_loses_nothing(season: Season) -> None:
-    season.executor.agents["alice"] = None
-    season.attempt("alice")
+    season.attempt("alice", None)
     season.executor.agents["alice"] = Absent
     season.restart()
     season.turns()
@@ -232,15 +223,13 @@ def test_one_that_does_not_come_back_after_a_restart_loses_nothing(season: Seaso
 
 
 def test_who_is_absent_is_waited_for_once(season: Season) -> None:
-    season.executor.agents["alice"] = Absent
-    season.attempt("alice")
+    season.attempt("alice", Absent)
     assert season.states("alice") == {1: "over"}
     assert season.executor.awaited == ["alice/mines/0"]
     assert season.state.attempt("alice", 1).why == "mines, trial 0: it did not connect within 30 s"
     assert [one.reason for one in season.store.outcomes().values()] == 2 * ["it did not connect within 30 s"]
     assert [one.problem for one in season.store.verdicts().values()] == [None, None]
-    season.executor.agents["alice"] = Walker()
-    season.attempt("alice")
+    season.attempt("alice", Walker())
     assert len(season.executor.awaited) == 1
 
 
@@ -257,8 +246,7 @@ def test_a_clock_that_is_set_back_and_forward_stops_nothing(season: Season) -> N
 
 def test_who_closes_the_season_lets_what_is_played_end(season: Season) -> None:
     season.enrol("bob", "carol")
-    season.executor.agents["carol"] = None
-    season.attempt("carol")
+    season.attempt("carol", None)
     season.act("pause")
     season.ask(Attempt("alice"))
     season.act("close")
@@ -309,8 +297,7 @@ def test_nobody_hides_an_attempt_where_the_best_does_not_count(season: Season) -
 
 @of(IMAGES)
 def test_an_image_ends_the_pause_for_what_was_forfeited_and_not_that_of_the_organiser(season: Season) -> None:
-    season.executor.agents["alice"] = Raising()
-    season.attempt("alice")
+    season.attempt("alice", Raising())
     season.attempt("alice")
     assert season.state.entrants["alice"].paused
     season.ask(Submit("alice", IDS[0], "alice:1"))
@@ -346,8 +333,8 @@ def test_an_image_is_run_again_as_it_was_and_kept_for_that(season: Season) -> No
     first, unused, last = IDS
     season.enrol("bob")
     season.ask(Submit("alice", first, "alice:1"))
-    season.executor.agents["alice"] = season.executor.agents["bob"] = None
-    season.attempt("alice")
+    season.executor.agents["bob"] = None
+    season.attempt("alice", None)
     season.act("exclude", "alice")
     season.act("readmit", "alice")
     season.ask(Submit("alice", unused, "alice:2"))

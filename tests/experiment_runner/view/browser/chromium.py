@@ -34,9 +34,6 @@ return axe.run(document, { resultTypes: ["violations"] }).then((found) => found.
 """
 _Found = TypeVar("_Found")
 
-needs_axe = pytest.mark.skipif(not _AXE.is_file(), reason="needs axe-core: AXE_CORE=.../axe.min.js")
-"""Skips a test that calls `Browser.faults` where axe-core is missing."""
-
 
 def needed() -> None:
     """Skip the tests of a module on a machine without a browser."""
@@ -130,7 +127,11 @@ class Browser:
         return bytes(self.driver.get_screenshot_as_png())
 
     def faults(self, *impacts: str) -> list[str]:
-        """Return what axe-core finds wrong with the page, of some impacts or of all."""
+        """Return what axe-core finds wrong with the page, of some impacts or of all; skip what is left of a
+        test where axe-core is missing.
+        """
+        if not _AXE.is_file():
+            pytest.skip("needs axe-core: AXE_CORE=.../axe.min.js")
         self.run(_AXE.read_text("utf-8"))
         return list(self.run(_FAULTS, impacts))
 
