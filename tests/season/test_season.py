@@ -59,10 +59,7 @@ FILE: Final = """\
 name = "spring"
 trials = 1
 seed_file = "secret.txt"
-[limits]
-start_seconds = 20
-step_seconds = 0.5
-bank_seconds = 10
+limits = { start_seconds = 20, step_seconds = 0.5, bank_seconds = 10 }
 [season]
 opens = 2020-01-01T00:00:00
 closes = 2100-01-01T00:00:00

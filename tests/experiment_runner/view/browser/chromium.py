@@ -139,19 +139,13 @@ class Browser:
         """Return the errors in the browser's console since the last call."""
         return [line["message"] for line in self.driver.get_log("browser") if line["level"] == "SEVERE"]
 
-    def asked(self) -> list[str]:
-        """Return the URLs requested since the last call, from the browser's own log."""
-        messages = [json.loads(line["message"])["message"] for line in self.driver.get_log("performance")]
-        return [
-            str(one["params"]["request"]["url"])
-            for one in messages
-            if one["method"] == "Network.requestWillBeSent"
-        ]
-
     def foreign(self) -> list[str]:
-        """Return the URLs of other hosts that were requested since the last call."""
+        """Return the URLs of other hosts in the browser's own log of requests since the last call."""
         ours = (f"http://127.0.0.1:{self._page.port}/", "data:", "blob:", "about:")
-        return [url for url in self.asked() if not url.startswith(ours)]
+        found = [json.loads(line["message"])["message"] for line in self.driver.get_log("performance")]
+        sent = [one["params"] for one in found if one["method"] == "Network.requestWillBeSent"]
+        urls = [str(one["request"]["url"]) for one in sent]
+        return [url for url in urls if not url.startswith(ours)]
 
     def _devtools(self, command: str, **arguments: object) -> None:
         self.driver.execute_cdp_cmd(command, arguments)
