@@ -113,17 +113,26 @@ class Recorded(Forked):
 
 
 def run(
-    *command: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = 120
+    *command: str,
+    cwd: Path,
+    env: Mapping[str, str] | None = None,
+    timeout: float = 120,
+    status: int | None = None,
 ) -> subprocess.CompletedProcess[str]:
-    """Run one of our commands to its end, as a script would; `env` is as in `subprocess.run`."""
+    """Run one of our commands to its end, as a script would.
+
+    `env` is as in `subprocess.run`; `status` is the exit status that the command must have, if one is given.
+    """
     with tempfile.TemporaryDirectory() as folder:
         printed = [Path(folder) / name for name in ("stdout", "stderr")]
         process = start(*command, cwd=cwd, env=env, printed=printed)
-        status = process.wait(timeout)
-        if status is None:
+        ended = process.wait(timeout)
+        if ended is None:
             process.kill()
             raise subprocess.TimeoutExpired(command, timeout)
-        return subprocess.CompletedProcess(command, status, *(path.read_text("utf-8") for path in printed))
+        out, errors = (path.read_text("utf-8") for path in printed)
+        assert status in (None, ended), f"{' '.join(command)} ended with {ended}:\n{out}{errors}"
+        return subprocess.CompletedProcess(command, ended, out, errors)
 
 
 def start(*command: str, cwd: Path, env: Mapping[str, str] | None = None, printed: Sequence[Path]) -> Forked:

@@ -27,18 +27,13 @@ TAG = "glue-test/season"
 
 FILE = """\
 seed_file = "secret.txt"
+limits.memory = "256m"
+tasks.mines = { env = "mines", steps = 5_000, phase = "proving" }
+entrants.alice.image = "glue-test/season"
 [season]
 opens = 2020-01-01T00:00:00
 closes = 2100-01-01T00:00:00
 enrol = "closed"
-[limits]
-memory = "256m"
-[tasks.mines]
-env = "mines"
-steps = 5_000
-phase = "proving"
-[entrants.alice]
-image = "glue-test/season"
 """
 
 
@@ -123,7 +118,7 @@ def test_an_attempt_costs_nothing_more_when_the_engine_is_started_again(
     assert entrant.used.total() == 1
     assert served.act("close")
     assert served.server.wait(60) == 0
-    assert forked.run("glue-compete", "verify", "run", cwd=tmp_path).returncode == 0
+    forked.run("glue-compete", "verify", "run", cwd=tmp_path, status=0)
     with Results.open(served.run) as results:
         lost = "went away" if how is signal.SIGKILL else "was told to kill"
         assert any(f"the container engine {lost}" in event.text for event in results.events())

@@ -71,18 +71,6 @@ def printed(container: Container) -> str:
     return container.log.read_text(errors="replace")
 
 
-def test_it_reaches_the_hub_and_finds_its_session_in_the_environment(run: Run) -> None:
-    said = printed(
-        run(
-            "import os, socket\n"
-            "path = os.environ['GLUE_HUB'].removeprefix('ipc://')\n"
-            "socket.socket(socket.AF_UNIX).connect(path)\n"
-            "print(os.environ['GLUE_SESSION'])\n"
-        )
-    )
-    assert said == "easy/honest/0\n"
-
-
 def test_it_has_no_privileges_and_no_network(run: Run) -> None:
     said = printed(
         run(
@@ -110,17 +98,6 @@ def test_it_has_no_privileges_and_no_network(run: Run) -> None:
     assert {"rw", "nosuid", "nodev", "noexec"} <= set(mounts["/tmp"])
 
 
-def test_what_it_may_use_is_limited(engine: Any, run: Run, launch: Launch) -> None:
-    """What else is limited `tests/jails/hostile` tries to use."""
-    run("import time; time.sleep(1000)")
-    (container,) = engine.containers.list(filters={"label": f"{LABEL}={launch.run}"})
-    settings = container.attrs["HostConfig"]
-    assert settings["MemorySwap"] == _LIMITS.memory
-    assert settings["PidsLimit"] == _LIMITS.pids
-    assert settings["NanoCpus"] == 500_000_000
-    assert settings["Init"] is True
-
-
 @pytest.mark.parametrize("program", [_EATER, _PARENT_OF_AN_EATER])
 def test_too_much_memory_is_the_reason_in_whichever_process(run: Run, program: str) -> None:
     container = run(program)
@@ -137,21 +114,6 @@ def test_how_it_ended_is_said_as_of_any_program(run: Run) -> None:
         container = run(program)
         assert container.wait(_SECONDS)
         assert container.reason == reason
-
-
-def test_nothing_of_it_is_left_when_it_is_stopped(engine: Any, run: Run, launch: Launch) -> None:
-    program = (
-        "import subprocess, time\n"
-        "subprocess.Popen(['sleep', '1000'], start_new_session=True)\n"
-        "print('started'); time.sleep(1000)\n"
-    )
-    container = run(program)
-    assert not container.wait(0.0)
-    assert container.reason is None
-    container.stop()
-    container.stop()
-    assert container.reason is None
-    assert not engine.containers.list(all=True, filters={"label": f"{LABEL}={launch.run}"})
 
 
 def test_the_last_words_are_kept(run: Run) -> None:

@@ -46,6 +46,7 @@ _FILE = """
 name = "hostile"
 trials = {trials}
 seed_file = "secret.txt"
+tasks.easy = {{ env = "mines", options.random_start = true, steps = 300 }}
 [limits]
 step_seconds = 0.5
 bank_seconds = 3
@@ -55,10 +56,6 @@ tmp = "16m"
 shm = "8m"
 pids = 64
 log = "256k"
-[tasks.easy]
-env = "mines"
-options = {{ random_start = true }}
-steps = 300
 """
 
 

@@ -26,6 +26,8 @@ import pytest
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 pytest.importorskip("uvicorn", reason="needs uvicorn: pip install 'glue-rl[web]'")
 
+from msgspec.structs import replace
+
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
 from experiment_runner.competition.season.control import NoServer, ask
@@ -33,7 +35,7 @@ from experiment_runner.competition.state import State
 from experiment_runner.store.results import Results
 from glue.client.libzmq import new_pair
 from glue.client.players import serve_agent
-from glue.client.season import Page, Season, SeasonBusy, SeasonRefused, join
+from glue.client.season import Membership, Page, Season, SeasonBusy, SeasonRefused, join
 from glue.client.target import Target
 from glue.errors import GlueError, HubUnreachable
 from glue.keys.certificates import encode, write_pair
@@ -57,10 +59,7 @@ FILE: Final = """\
 name = "spring"
 trials = 1
 seed_file = "secret.txt"
-[limits]
-start_seconds = 20
-step_seconds = 0.5
-bank_seconds = 10
+limits = { start_seconds = 20, step_seconds = 0.5, bank_seconds = 10 }
 [season]
 opens = 2020-01-01T00:00:00
 closes = 2100-01-01T00:00:00
@@ -143,9 +142,8 @@ class Held:
     def type(self, *arguments: str) -> str:
         """Run a command of the organiser; return its output."""
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        done = forked.run("glue-compete", *arguments, cwd=self.folder, env=environment, timeout=300)
-        assert done.returncode == 0, done.stderr
-        return str(done.stdout + done.stderr)
+        done = forked.run("glue-compete", *arguments, cwd=self.folder, env=environment, timeout=300, status=0)
+        return done.stdout + done.stderr
 
     def act(self, command: str, *arguments: str) -> None:
         why = () if command == "announce" else ("--why", "a mail of May")
@@ -154,26 +152,20 @@ class Held:
 
     def wait_for_server(self) -> None:
         def there() -> bool:
-            try:
+            with suppress(NoServer, OSError):
                 return bool(ask(self.directory, {"do": "status"}, 5)["ok"])
-            except (NoServer, OSError):
-                return False
+            return False
 
         wait_until(there, "the server")
 
-    def member(self, name: str) -> Path:
-        """Enrol an entrant; return its season.toml."""
-        folder = self.folder / name
-        _, secret = write_pair(folder, name, new_pair())
+    def member(self, name: str) -> Membership:
+        """Enrol an entrant."""
+        _, secret = write_pair(self.folder / name, name, new_pair())
         while True:
             try:
-                membership, _ = join(Page(self.url), name, secret, "lemonade")
-                break
+                return join(Page(self.url), name, secret, "lemonade")[0]
             except SeasonBusy:  # the server was killed
                 time.sleep(1)
-        file = folder / "season.toml"
-        membership.write(file)
-        return file
 
     def state(self) -> State:
         return course_of(self.directory).state
@@ -184,15 +176,9 @@ class Held:
             return season_board(results, course_of(self.directory), now, ORGANISER)
 
 
-def read(file: Path) -> Season:
-    from glue.client.season import read_membership
-
-    return Season(read_membership(file))
-
-
 def play(held: Held, name: str, make: Callable[[], Walker], attempts: int) -> int:
     """Be an entrant in Python, who plays some attempts; return how many were verified."""
-    season, verified = read(held.member(name)), 0
+    season, verified = Season(held.member(name)), 0
 
     def serve(target: Target, on: Callable[[], bool]) -> None:
         key = target.key
@@ -214,7 +200,8 @@ def play(held: Held, name: str, make: Callable[[], Walker], attempts: int) -> in
 
 def play_program(held: Held, name: str, command: list[str]) -> int:
     """Be an entrant with a program in another language, who plays one attempt."""
-    file = held.member(name)
+    file = held.folder / name / "season.toml"
+    held.member(name).write(file)
     for _ in range(5):
         done = forked.run("glue-agent", "--season", str(file), *command, cwd=held.folder, timeout=300)
         if "is over" in done.stdout and "forfeited" not in done.stdout:
@@ -235,21 +222,17 @@ def flood(held: Held) -> int:
 
 def pose(held: Held) -> int:
     """Be an entrant who asks for attempts, and plays, as another."""
-    file = held.member("pose")
-    text = file.read_text()
-    other = file.with_name("other.toml")
-    other.write_text(text.replace('name = "pose"', f'name = "{HONEST[0]}"'))
-    refused = 0
+    own, refused = held.member("pose"), 0
+    other = Season(replace(own, name=HONEST[0]))
     while not held.over.is_set():
         with suppress(SeasonBusy):
             try:
-                read(other).ask("attempt", {"attempt": 0})
+                other.ask("attempt", {"attempt": 0})
             except SeasonRefused:
                 refused += 1
-        key = read(file)._key
         with suppress(GlueError):
             hub = f"tcp://127.0.0.1:{held.hub}"
-            serve_agent({HONEST[0]: Walker()}, hub, key=key.file, hub_key=encode(key.hub), wait=1)
+            serve_agent({HONEST[0]: Walker()}, hub, key=own.key, hub_key=own.hub_key, wait=1)
         time.sleep(0.5)
     return refused
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -47,20 +46,17 @@ FILE = """\
 name = "<b>spring</b>"
 trials = 1
 seed_env = "SECRET"
-[limits]
-start_seconds = 300
-log = "2k"
-[tasks]
-mines = { env = "mines", options.random_start = true, steps = 200 }
-walk = { env = "skeleton", episodes = 4 }
+limits = { start_seconds = 300, log = "2k" }
+tasks.mines = { env = "mines", options.random_start = true, steps = 200 }
+tasks.walk = { env = "skeleton", episodes = 4 }
 """ + "".join(ENTRANT.format(name=name, kind=name) for name in ("walk", "crash", "raise"))
 
 
-def compete(folder: Path, *arguments: str, secret: str = "xyzzy") -> subprocess.CompletedProcess[str]:
-    """Run `glue-compete` in a folder."""
-    return forked.run(
-        "glue-compete", *arguments, cwd=folder, env={**os.environ, "SECRET": secret}, timeout=200
-    )
+def compete(folder: Path, *arguments: str, secret: str = "xyzzy", status: int = 0) -> str:
+    """Run `glue-compete` in a folder, which ends with this exit status; return all that it prints."""
+    environment = {**os.environ, "SECRET": secret}
+    done = forked.run("glue-compete", *arguments, cwd=folder, env=environment, timeout=300, status=status)
+    return done.stdout + done.stderr
 
 
 def write(folder: Path, text: str = FILE, go: bool = True) -> None:

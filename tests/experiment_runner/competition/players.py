@@ -10,13 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from env_server.toys import MinesEnvironment
-from experiment_runner.competition.match import Match, play
+from experiment_runner.competition.match import Forfeited, Match, Piece, play
 from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
 from experiment_runner.competition.starters import Launch, Running, Starter
 from experiment_runner.competition.trials import trials
+from experiment_runner.executors.job import Ended, Recorded
+from experiment_runner.store.records import EpisodeResult
 from glue.client.players import serve_agent
 from glue.errors import GlueError
 from glue.roles import Agent
+from glue.trajectory import Episode, TrajectoryReader
 from glue.types import Action, Observation, Step
 
 SECRET = b"nobody knows"
@@ -111,14 +114,36 @@ def competition(*entrants: str, trials: int = 1, limits: Limits | None = None, *
     return Competition("test", trials, (Task("walk", options=options, **task),), playing, limits or Limits())
 
 
+class Reports(list[Any]):
+    """What a match has reported."""
+
+    @property
+    def forfeit(self) -> str:
+        """The reason of its only forfeit, empty without one; nothing of ours has failed."""
+        *reports, end = self
+        assert end == Ended(None), self
+        assert not any(isinstance(report, Forfeited) for report in reports[:-1])
+        return str(reports[-1].reason) if isinstance(reports[-1], Forfeited) else ""
+
+    @property
+    def results(self) -> list[EpisodeResult]:
+        return [report.result for report in self if isinstance(report, Recorded)]
+
+    def episodes(self, folder: Path) -> list[Episode]:
+        """Write its record into a folder; return the episodes in it."""
+        path = folder / "record.traj"
+        path.write_bytes(b"".join(report.data for report in self if isinstance(report, Piece)))
+        return list(TrajectoryReader(path))
+
+
 def reports_of(
     agent: Any, folder: Path, clock: Callable[[], float] | None = None, **settings: Any
-) -> list[Any]:
+) -> Reports:
     """Let an agent, or the entrant of a starter, play one trial; return all reports."""
     held = competition("alice", **settings)
     (spec,) = trials(held, SECRET)
     match = Match(spec, held.entrants[0], held.limits, held.tasks[0].steps, folder / "log", "test")
-    reports: list[Any] = []
+    reports = Reports()
     starter = agent if hasattr(agent, "sweep") else InThread(agent)
     play(match, reports.append, starter, clock=clock or time.monotonic)
     return reports

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,149 +21,126 @@ from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
-from tests.experiment_runner.competition.season.inside import SECRET, Executor
+from tests.experiment_runner.competition.season.inside import SECRET, Season
 
 FILE = """\
 name = "spring"
 seed_env = "SECRET"
 trials = 2
-[tasks.mines]
-env = "mines"
-options = { random_start = true }
-steps = 20
-[entrants.alice]
-command = ["true"]
-[entrants.bob]
-command = ["true"]
+tasks.mines = { env = "mines", options.random_start = true, steps = 20 }
+entrants.alice.command = ["true"]
+entrants.bob.command = ["true"]
 """
 
 
-@dataclass
-class Run:
-    """A run of which a test takes each turn."""
-
-    folder: Path
-    text: str = FILE
-    executor: Executor = field(default_factory=Executor)
-    stack: ExitStack = field(default_factory=ExitStack)
-
-    def __post_init__(self) -> None:
-        self.directory = self.folder / "run"
-        self.start()
+class Run(Season):
+    """A run of the same kind, of which a test takes each turn."""
 
     def start(self) -> None:
-        competition = parse_competition(self.text, self.folder / "spring.toml")
-        store = self.stack.enter_context(open_competition(self.directory, self.text, competition, SECRET))
-        self.said: list[str] = []
-        self.held = self.stack.enter_context(Held(store, competition, SECRET, self.said.append, None))
+        store = self.stack.enter_context(
+            open_competition(self.directory, self.text, self.competition, SECRET)
+        )
+        self.said.clear()
+        self.held = self.stack.enter_context(Held(store, self.competition, SECRET, self.said.append, None))
         self.visit = answering(self.stack.enter_context(Door(self.directory)))
         interrupts = self.stack.enter_context(Interrupts())
         self.dispatcher = Dispatcher(self.executor, self.held, interrupts)
         self.held.begin(self.dispatcher)
 
-    def restart(self) -> None:
-        self.stack.close()
-        self.start()
-
-    def turns(self) -> bool:
+    def goes_on(self) -> bool:
         """Play what can be played; return whether anything waits or plays."""
         for _ in range(20):
             self.dispatcher.turn(0)
         return self.dispatcher.turn(0)
 
-    def act(self, kind: str, **wish: Any) -> None:
+    def answered(self, command: Callable[[], Any]) -> Any:
+        """Return what a command returns, which asks the run from another thread."""
+        with ThreadPoolExecutor(1) as commands:
+            asking = commands.submit(command)
+            while not asking.done():
+                self.visit(self.held, 0.01)
+        return asking.result()
+
+    def organise(self, kind: str, **wish: Any) -> None:
         """Carry out an act as its command does."""
-        failed: list[ExperimentError] = []
-
-        def command() -> None:
-            try:
-                organise(self.directory, kind, why="because", **wish)
-            except ExperimentError as error:
-                failed.append(error)
-
-        thread = threading.Thread(target=command)
-        thread.start()
-        while thread.is_alive():
-            self.visit(self.held, 0.01)
-        if failed:
-            raise failed[0]
+        self.answered(partial(organise, self.directory, kind, why="because", **wish))
 
     def counts(self) -> Counter[str]:
         """Return how many of the trials that count are over, by their entrant."""
         with Results.open(self.directory) as results:
             over = results.outcomes()
-        return Counter(trial.parts[0] for trial in self.held.course.trials if trial in over)
+        return Counter(trial.parts[0] for trial in self.course.trials if trial in over)
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Iterator[Run]:
-    made = Run(tmp_path)
+    made = Run(tmp_path, FILE)
     with made.stack:
         yield made
 
 
 def test_who_is_excluded_while_it_plays_is_ended_at_once(run: Run) -> None:
     run.executor.agents["alice"] = None  # plays for ever
-    assert run.turns()
-    run.act("exclude", subject="alice")
+    assert run.goes_on()
+    run.organise("exclude", subject="alice")
     assert not run.executor.jobs
-    assert not run.turns()
+    assert not run.goes_on()
     assert run.counts() == {"bob": 2}
     del run.executor.agents["alice"]
-    run.act("readmit", subject="alice")
-    assert not run.turns()
+    run.organise("readmit", subject="alice")
+    assert not run.goes_on()
     assert run.counts() == {"alice": 2, "bob": 2}
 
 
 def test_what_is_played_again_is_played_at_once_and_counts(run: Run) -> None:
     with pytest.raises(ExperimentError, match="no trial of alice is over"):
-        run.act("rerun", subject="alice")
-    run.turns()
-    run.act("rerun", subject="bob/mines/1")
-    run.turns()
-    run.act("rerun", subject="alice")
-    assert not run.turns()
+        run.organise("rerun", subject="alice")
+    run.goes_on()
+    run.organise("rerun", subject="bob/mines/1")
+    run.goes_on()
+    run.organise("rerun", subject="alice")
+    assert not run.goes_on()
     assert run.executor.played[4:] == ["bob/mines/2", "alice/mines/2", "alice/mines/3"]
     assert run.counts() == {"alice": 2, "bob": 2}
 
 
 def test_who_is_added_plays_the_same_levels(run: Run) -> None:
     run.executor.agents["bob"] = None
-    run.turns()
+    run.goes_on()
     late = run.folder / "late.toml"
-    late.write_text(FILE + '[entrants.carol]\ncommand = ["true"]\n')
-    run.act("add", **addition(run.held.course, late, SECRET))
+    late.write_text(FILE + 'entrants.carol.command = ["true"]\n')
+    run.organise("add", **addition(run.course, late, SECRET))
     del run.executor.agents["bob"]
-    run.turns()
+    run.goes_on()
     with Results.open(run.directory) as results:
         specs = {str(record.spec.id): record.spec for record in results.trials()}
     assert specs["carol/mines/1"].environment == specs["bob/mines/1"].environment
     assert run.counts() == {"alice": 2, "carol": 2}
     run.text = late.read_text()
     run.restart()
-    assert not run.turns()
+    assert not run.goes_on()
     assert run.counts() == {"alice": 2, "bob": 2, "carol": 2}
 
 
 def test_what_is_paused_starts_when_it_is_resumed_also_after_a_restart(run: Run) -> None:
-    run.act("pause", subject="bob")
-    assert run.turns()
+    run.organise("pause", subject="bob")
+    assert run.goes_on()
     assert run.counts() == {"alice": 2}
-    run.act("pause")
-    run.act("resume", subject="bob")
+    run.organise("pause")
+    run.organise("resume", subject="bob")
     run.restart()
     assert "* is paused: because" in run.said[0]
-    assert run.turns()
+    assert run.goes_on()
     assert run.counts()["bob"] == 0
-    run.act("resume")
-    assert not run.turns()
+    run.organise("resume")
+    assert not run.goes_on()
     assert run.counts()["bob"] == 2
     with pytest.raises(ExperimentError, match="the run is not paused"):
-        run.act("resume")
+        run.organise("resume")
 
 
 def test_what_a_run_does_not_have_is_refused_by_name(run: Run) -> None:
-    run.act("exclude", subject="alice")
+    run.organise("exclude", subject="alice")
     for kind, subject, why in (
         ("grant", "bob", r"grant is an act of a season.*rerun has an entrant play again"),
         ("pause", "carol", "there is no entrant carol"),
@@ -174,13 +150,9 @@ def test_what_a_run_does_not_have_is_refused_by_name(run: Run) -> None:
         ("rerun", "bob/mines/1", "bob/mines/1 is not over"),
     ):
         with pytest.raises(ExperimentError, match=why):
-            run.act(kind, subject=subject)
-    replies: list[Any] = []
-    thread = threading.Thread(target=lambda: replies.append(ask(run.directory, {"do": "status"})))
-    thread.start()
-    while thread.is_alive():
-        run.visit(run.held, 0.01)
-    assert (replies[0]["ok"], replies[0]["error"]) == (False, "the season is over, and its final is played")
+            run.organise(kind, subject=subject)
+    reply = run.answered(partial(ask, run.directory, {"do": "status"}))
+    assert (reply["ok"], reply["error"]) == (False, "the season is over, and its final is played")
 
 
 def test_a_run_of_before_there_were_journals_has_the_entrants_of_its_file(tmp_path: Path) -> None:

@@ -53,11 +53,8 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A competition that was held and verified; not to be changed."""
     folder = tmp_path_factory.mktemp("competition")
     write(folder)
-    done = compete(folder, "run", "spring.toml", "--out", "run", "--workers", "3")
-    assert done.returncode == 0, done.stderr
-    verified = compete(folder, "verify", "run")
-    assert verified.returncode == 0, verified.stderr
-    assert "6 of 6 trials are verified" in verified.stderr
+    compete(folder, "run", "spring.toml", "--out", "run", "--workers", "3")
+    assert "6 of 6 trials are verified" in compete(folder, "verify", "run")
     return folder
 
 
@@ -137,16 +134,14 @@ def test_a_log_is_bounded_and_shows_no_secret(held: Path) -> None:
 
 
 def test_another_secret_is_another_competition(held: Path) -> None:
-    refused = compete(held, "run", "spring.toml", "--out", "run", secret="plugh")
-    assert refused.returncode == 1
-    assert "another secret seed" in refused.stderr
-    assert len(refused.stderr.splitlines()) == 1
+    (refused,) = compete(held, "run", "spring.toml", "--out", "run", secret="plugh", status=1).splitlines()
+    assert "another secret seed" in refused
 
 
 def test_a_directory_that_an_organiser_has_left_open_is_closed(run: Path, held: Path) -> None:
     """A kill before the mode is set, or a later change of it, would leave the levels readable."""
     run.chmod(0o755)
-    assert compete(held, "run", "spring.toml", "--out", str(run)).returncode == 0
+    compete(held, "run", "spring.toml", "--out", str(run))
     assert run.stat().st_mode & 0o077 == 0
 
 
@@ -166,39 +161,24 @@ def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(tmp_path: Path) ->
     assert "Traceback" not in full.stderr
     over = [line.split()[1] for line in told if line.startswith("[")]
     again = compete(tmp_path, "run", "spring.toml", "--out", "run")
-    assert again.returncode == 0, again.stderr
-    assert not any(f"] {trial} " in again.stderr for trial in over)
-    assert compete(tmp_path, "verify", "run").returncode == 0
-
-
-def test_two_checks_do_not_write_to_one_directory(tmp_path: Path) -> None:
-    (tmp_path / "spring.toml").write_text(FILE)
-    (tmp_path / "check").mkdir()
-    lock = RunLock(tmp_path / "check")
-    refused = compete(tmp_path, "check", "spring.toml")
-    lock.release()
-    assert refused.returncode == 1
-    assert "check is in use by process" in refused.stderr
-    assert "--out" in refused.stderr
+    assert not any(f"] {trial} " in again for trial in over)
+    compete(tmp_path, "verify", "run")
 
 
 def test_runs_are_shown_and_removed_but_not_merged(run: Path) -> None:
     """Standings need the records; removal leaves neither levels nor logs."""
-    shown = results(run, "show")
-    assert shown.returncode == 0, shown.stderr
-    assert "walk, mines" in shown.stdout
-    refused = results(run, "merge", "--out", str(run.parent / "merged"))
-    assert refused.returncode == 1
-    assert f"glue-results export {run}" in refused.stderr
+
+    def results(command: str, *options: str, status: int = 0) -> str:
+        done = forked.run("glue-results", command, str(run), *options, cwd=run.parent, status=status)
+        return done.stdout + done.stderr
+
+    assert "walk, mines" in results("show")
+    refused = results("merge", "--out", str(run.parent / "merged"), status=1)
+    assert f"glue-results export {run}" in refused
     assert not (run.parent / "merged").exists()
-    assert results(run, "export").returncode == 0
-    assert results(run, "remove", "--yes").returncode == 0
+    results("export")
+    results("remove", "--yes")
     assert not run.exists()
-
-
-def results(run: Path, command: str, *options: str) -> subprocess.CompletedProcess[str]:
-    """Run `glue-results` on a run."""
-    return forked.run("glue-results", command, str(run), *options, cwd=run.parent)
 
 
 @pytest.mark.proof
@@ -225,18 +205,14 @@ def test_random_changes_of_a_record_are_found(run: Path) -> None:
     assert problems(run) == []
 
 
-def forge(run: Path, trial: str, change: bytes, to: bytes) -> None:
-    """Change the contents of a record, its checksum and digest included."""
-    path = record_path(run, trial)
-    content = gzip.decompress(path.read_bytes())
-    assert change in content
-    path.write_bytes(gzip.compress(content.replace(change, to, 1)))
-    where = "WHERE trial = (SELECT key FROM trials WHERE id = ?)"
-    assert update(run, f"UPDATE outcomes SET digest = ? {where}", digest(path), trial) == 1
-
-
 def test_a_forged_reward_is_found_by_replay(run: Path) -> None:
-    forge(run, "walk/walk/0", struct.pack("<d", 1.0), struct.pack("<d", 100.0))
+    """The checksum and the digest of the record are those of its changed contents."""
+    path, reward = record_path(run, "walk/walk/0"), struct.pack("<d", 1.0)
+    content = gzip.decompress(path.read_bytes())
+    assert reward in content
+    path.write_bytes(gzip.compress(content.replace(reward, struct.pack("<d", 100.0), 1)))
+    where = "WHERE trial = (SELECT key FROM trials WHERE id = 'walk/walk/0')"
+    assert update(run, f"UPDATE outcomes SET digest = ? {where}", digest(path)) == 1
     (problem,) = problems(run)
     assert "walk/walk/0" in problem
     assert "the reward: expected" in problem
@@ -259,9 +235,7 @@ def test_an_edit_of_the_directory_is_found_by_verify_and_on_the_board(run: Path)
     with pytest.raises(ExperimentError, match="were changed") as failure:
         board(run)
     assert "\n" not in str(failure.value)
-    verified = compete(run.parent, "verify", "run")
-    assert verified.returncode == 1
-    assert "were changed" in verified.stderr
+    assert "were changed" in compete(run.parent, "verify", "run", status=1)
 
 
 def test_a_signature_shows_others_whose_board_it_is(run: Path) -> None:
@@ -270,18 +244,17 @@ def test_a_signature_shows_others_whose_board_it_is(run: Path) -> None:
     _, secret = write_pair(run.parent, "organiser", ours)
     with pytest.raises(ExperimentError, match="is not signed"):
         check_signature(run, ours.public)
-    signed = compete(run.parent, "verify", "run", "--sign", str(secret))
-    assert signed.returncode == 0, signed.stderr
+    compete(run.parent, "verify", "run", "--sign", str(secret))
     assert problems(run) == []  # the signature remains, as nothing has changed
-    assert compete(run.parent, "board", "run", "--signed-by", "organiser.key").returncode == 0
+    compete(run.parent, "board", "run", "--signed-by", "organiser.key")
     with pytest.raises(ExperimentError, match="was not signed with"):
         check_signature(run, other.public)
     update(run, _FORFEITED)
     (run / "seal.json").unlink()
     assert problems(run) == []  # organisers can lie to themselves
     sign(run, other)
-    refused = compete(run.parent, "board", "run", "--signed-by", "organiser.key")
-    assert (refused.returncode, refused.stdout) == (1, "")
+    (refused,) = compete(run.parent, "board", "run", "--signed-by", "organiser.key", status=1).splitlines()
+    assert refused.startswith("Error: ")
 
 
 _HOSTILE = {
@@ -308,8 +281,7 @@ def test_a_hostile_directory_is_one_line(run: Path) -> None:
         with pytest.raises(GlueError) as failure:
             board(made)
         assert "\n" not in str(failure.value)
-    shown = compete(folder, "board", "run0")
-    assert (shown.returncode, len(shown.stderr.splitlines())) == (2, 1), shown
+    assert len(compete(folder, "board", "run0", status=2).splitlines()) == 1
     page = Inside(folder)
     for number in range(len(_HOSTILE)):
         run_id = page.run_id(f"run{number}")
@@ -323,9 +295,7 @@ def test_only_what_was_verified_is_on_the_board(run: Path) -> None:
     path.write_bytes(path.read_bytes()[:-1])
     assert entrants(run)["walk"].place is None
     assert "changed since it was verified" in entrants(run)["walk"].missing
-    refused = compete(run.parent, "verify", "run")
-    assert refused.returncode == 1
-    assert "walk/mines/0 does not match" in refused.stderr
+    assert "walk/mines/0 does not match" in compete(run.parent, "verify", "run", status=1)
     assert "not verified" in entrants(run)["walk"].missing
     assert entrants(run)["crash"].place is not None
 
@@ -333,12 +303,16 @@ def test_only_what_was_verified_is_on_the_board(run: Path) -> None:
 def test_check_plays_every_task_and_reports_to_every_owner(tmp_path: Path) -> None:
     short = FILE.replace("steps = 200", "steps = 200, max_steps = 40").replace('"raise"', '"walk"', 1)
     write(tmp_path, short.partition("[entrants.raise]")[0])
-    done = compete(tmp_path, "check", "spring.toml")
-    assert done.returncode == 1, done.stderr
+    (tmp_path / "check").mkdir()
+    lock = RunLock(tmp_path / "check")
+    refused = compete(tmp_path, "check", "spring.toml", status=1)
+    assert re.search("check is in use by process .*--out", refused)
+    lock.release()
+    checked = compete(tmp_path, "check", "spring.toml", status=1)
     reports = {path.parent.name: path.read_text() for path in tmp_path.glob("check/*/report.txt")}
     assert set(reports) == {"walk", "crash"}
     assert reports["walk"].count("episode 3: return") == 2
-    assert "walk: played 3 episodes of each task" in done.stderr
+    assert "walk: played 3 episodes of each task" in checked
     assert reports["walk"].count("s of processors; ") == reports["walk"].count("time bank down to ") == 2
     assert "task mines" in reports["crash"]
     assert "status 7" in reports["crash"]
@@ -352,37 +326,31 @@ def test_acts_of_the_organiser_are_sealed_and_shown_and_delete_nothing(run: Path
     write(folder)
     before = {path: path.read_bytes() for path in (run / "records").rglob("*.traj")}
 
-    def act(*arguments: str, reason: str = "a mail of 3 May") -> str:
-        done = compete(folder, *arguments, "--reason", reason)
-        assert (done.returncode == 0) == bool(reason.strip()), done.stderr
-        return done.stderr
-
-    assert "a reason is a line" in act("exclude", "run", "crash", reason=" ")
-    act("exclude", "run", "raise", reason="it read <i>mail</i>")
-    assert "played again: crash/mines/0" in act("rerun", "run", "crash/mines/0")
-    assert "1 of 7 trials are not over" in compete(folder, "verify", "run").stderr
-    unchanged = compete(folder, "add", "run", "spring.toml", "--reason", "late")
-    assert "has no entrant that does not take part already" in unchanged.stderr
+    why = ("--reason", "a mail of 3 May")
+    assert "a reason is a line" in compete(folder, "exclude", "run", "crash", "--reason", " ", status=2)
+    compete(folder, "exclude", "run", "raise", "--reason", "it read <i>mail</i>")
+    assert "played again: crash/mines/0" in compete(folder, "rerun", "run", "crash/mines/0", *why)
+    assert "1 of 7 trials are not over" in compete(folder, "verify", "run", status=1)
+    unchanged = compete(folder, "add", "run", "spring.toml", *why, status=1)
+    assert "has no entrant that does not take part already" in unchanged
     with (folder / "spring.toml").open("a") as file:
         file.write(ENTRANT.format(name="late", kind="walk"))
-    without = compete(folder, "run", "spring.toml", "--out", "run")
-    assert "entrant late is not in the run yet: glue-compete add" in without.stderr
-    act("add", "run", "spring.toml")
+    without = compete(folder, "run", "spring.toml", "--out", "run", status=1)
+    assert "entrant late is not in the run yet: glue-compete add" in without
+    compete(folder, "add", "run", "spring.toml", *why)
     assert entrants(run)["raise"].missing == "excluded: it read <i>mail</i>"
     assert entrants(run)["crash"].missing == "not played to the end yet"
     assert "not played to the end yet" in entrants(run)["late"].missing
     played = compete(folder, "run", "spring.toml", "--out", "run", "--workers", "2")
-    assert played.returncode == 0, played.stderr
-    assert "all 6 trials are over" in played.stderr  # without those of who was excluded
-    verified = compete(folder, "verify", "run")
-    assert "9 of 9 trials are verified" in verified.stderr
+    assert "all 6 trials are over" in played  # without those of who was excluded
+    assert "9 of 9 trials are verified" in compete(folder, "verify", "run")
     found = entrants(run)
     assert [lost.trial for lost in found["crash"].forfeits] == [0, 0]
     assert found["late"].tasks == found["walk"].tasks
     assert (found["late"].place, found["crash"].place, found["raise"].place) == (1, 3, None)
     assert all(path.read_bytes() == content for path, content in before.items())
     for form in ("text", "html", "json"):
-        shown = compete(folder, "board", "run", "--format", form).stdout
+        shown = compete(folder, "board", "run", "--format", form)
         assert "a mail of 3 May" in shown
         assert ("&lt;i&gt;mail" if form == "html" else "<i>mail") in shown
 
@@ -396,13 +364,12 @@ def test_an_organiser_acts_on_a_run_while_it_is_played(tmp_path: Path) -> None:
         wait_until((tmp_path / "run/control").exists, "the run")
         for act in (("exclude", "run", "raise"), ("pause", "run"), ("announce", "run", "late")):
             more = () if act[0] == "announce" else ("--why", "a mail")
-            assert compete(tmp_path, *act, *more).returncode == 0
+            compete(tmp_path, *act, *more)
         (tmp_path / "go").touch()
-        assert compete(tmp_path, "resume", "run", "--why", "a mail").returncode == 0
+        compete(tmp_path, "resume", "run", "--why", "a mail")
         assert organiser.wait(200) == 0
     assert not (tmp_path / "run/control").exists()
-    verified = compete(tmp_path, "verify", "run")
-    assert "4 of 4 trials are verified" in verified.stderr
+    assert "4 of 4 trials are verified" in compete(tmp_path, "verify", "run")
     assert {name for name, one in entrants(tmp_path / "run").items() if one.place} == {"walk", "crash"}
 
 
@@ -418,9 +385,7 @@ def test_an_organiser_acts_on_a_run_while_it_is_played(tmp_path: Path) -> None:
 )
 def test_a_mistake_is_one_line_that_says_what_to_do(old: str, new: str, why: str, tmp_path: Path) -> None:
     write(tmp_path, FILE.replace(old, new))
-    refused = compete(tmp_path, "run", "spring.toml", "--out", "run")
-    assert refused.returncode == 2, refused.stderr
-    assert refused.stderr.startswith("Error: ")
-    assert why in refused.stderr
-    assert len(refused.stderr.splitlines()) == 1
+    (refused,) = compete(tmp_path, "run", "spring.toml", "--out", "run", status=2).splitlines()
+    assert refused.startswith("Error: ")
+    assert why in refused
     assert not (tmp_path / "run").exists()  # the next try is not refused

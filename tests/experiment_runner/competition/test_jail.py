@@ -83,15 +83,6 @@ def test_more_processors_than_there_are_cannot_be_promised() -> None:
         check_limits(Limits(cpus=64.0), 2)
 
 
-def test_an_image_that_would_write_to_a_disk_or_has_no_program_is_refused() -> None:
-    for settings, why in (
-        ({"Cmd": ["agent"], "Volumes": {"/data": {}}}, "declares a volume, /data, in which it could fill"),
-        ({"Cmd": None, "Entrypoint": None}, "nothing to run: add CMD"),
-    ):
-        with pytest.raises(ConfigError, match=why):
-            check_image("alice/agent:1", {"User": "1000", **settings}, 0)
-
-
 def test_an_engine_that_cannot_limit_is_refused() -> None:
     able = {"MemoryLimit": True, "PidsLimit": True, "CpuCfsQuota": True}
     check_engine(able, "unix:///run/docker.sock")

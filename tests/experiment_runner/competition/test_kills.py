@@ -13,7 +13,7 @@ from subprocess import DEVNULL
 
 import pytest
 
-from tests import forked
+from tests.experiment_runner.competition.contest import compete
 from tests.proof import size
 from tests.system.runs import alive, children, wait_until
 
@@ -36,13 +36,6 @@ tasks.walk = {{ env = "skeleton", episodes = {EPISODES} }}
 entrants.sarsa = {{ command = ["AGENT", "sarsa"] }}
 entrants.random = {{ command = ["AGENT", "random"] }}
 """
-
-
-def compete(folder: Path, *arguments: str) -> str:
-    """Run `glue-compete` to its end; return its output."""
-    done = forked.run("glue-compete", *arguments, cwd=folder, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def standings(folder: Path, out: str) -> object:

@@ -32,13 +32,8 @@ STAY = Action([0, 0, 0])
 FILE = """\
 trials = 3
 seed_env = "SECRET"
-[tasks.own]
-env = "mario"
-options = { instance = 9 }
-levels = ["one.txt", "two.txt"]
-episodes = 1
-[entrants.alice]
-command = ["true"]
+tasks.own = { env = "mario", options.instance = 9, levels = ["one.txt", "two.txt"], episodes = 1 }
+entrants.alice.command = ["true"]
 """
 
 
@@ -167,7 +162,7 @@ def test_a_bundle_has_no_other_level_than_was_played(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
-        ('"mario"\noptions = { instance = 9 }', '"mines"', "task own: mines reads no levels from files"),
+        ('"mario", options.instance = 9', '"mines"', "task own: mines reads no levels from files"),
         ("instance = 9", 'level = "one.txt"', r"task own: levels from files are not an option: levels = \["),
         ("two.txt", "three.txt", r"three\.txt: No such file"),
         ('["one.txt", "two.txt"]', '"one.txt"', "levels must be a list"),

@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 
 from env_server.toys import MinesEnvironment
-from experiment_runner.competition.match import ASK, Forfeited, Piece, Used
+from experiment_runner.competition.match import ASK, Forfeited, Used
 from experiment_runner.competition.records.verify import replay_trial
 from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.starters import Launch
 from experiment_runner.competition.trials import agent_seed, draw, trials
-from experiment_runner.executors.job import Ended, Lost, Recorded
+from experiment_runner.executors.job import Lost
 from glue.engine.engine import role_seed
 from glue.errors import GlueError
-from glue.trajectory import Ending, Episode, TrajectoryReader
+from glue.trajectory import Ending
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
 from tests.clock import Clock
@@ -33,27 +33,12 @@ from tests.experiment_runner.competition.players import (
 )
 
 
-def forfeit(reports: list[Any]) -> str:
-    """Return the reason of the only forfeit, which is the second-last report."""
-    assert isinstance(reports[-2], Forfeited), reports
-    assert reports[-1] == Ended(None)
-    return str(reports[-2].reason)
-
-
-def episodes(reports: list[Any], folder: Path) -> list[Episode]:
-    """Return the episodes in the record that a match has sent."""
-    path = folder / "record.traj"
-    path.write_bytes(b"".join(report.data for report in reports if isinstance(report, Piece)))
-    return list(TrajectoryReader(path))
-
-
 def test_a_task_of_steps_is_played_to_its_last_step(tmp_path: Path) -> None:
     reports = reports_of(Walker(), tmp_path, steps=40)
-    assert reports[-1] == Ended(None)
-    assert not any(isinstance(report, Forfeited) for report in reports)
-    recorded = episodes(reports, tmp_path)
+    assert not reports.forfeit
+    recorded = reports.episodes(tmp_path)
     assert sum(len(episode.steps) for episode in recorded) == 40
-    returns = [report.result.episode_return for report in reports if isinstance(report, Recorded)]
+    returns = [result.episode_return for result in reports.results]
     assert [episode.episode_return for episode in recorded] == returns
     assert {episode.ending for episode in recorded[:-1]} <= {Ending.TERMINAL}
 
@@ -61,9 +46,9 @@ def test_a_task_of_steps_is_played_to_its_last_step(tmp_path: Path) -> None:
 def test_what_a_late_agent_did_not_choose_is_recorded_as_it_was_carried_out(tmp_path: Path) -> None:
     watched = f"{Watched.__module__}:{Watched.__name__}"
     reports = reports_of(Dawdler(), tmp_path, steps=60, env=watched, rate=200.0)
-    assert reports[-1] == Ended(None)
-    recorded = episodes(reports, tmp_path)
-    results = [report.result for report in reports if isinstance(report, Recorded)]
+    assert not reports.forfeit
+    recorded = reports.episodes(tmp_path)
+    results = reports.results
     assert sum(result.late for result in results) >= 3
     (spec,) = trials(competition("alice", steps=60, env=watched, rate=200.0), SECRET)
     replayed, score = replay_trial(spec, tmp_path / "record.traj")
@@ -113,9 +98,9 @@ def test_a_bank_that_is_drained_slowly_ends_the_task(tmp_path: Path) -> None:
     clock = Clock()
     thinker = Thinker(clock, 1.5)
     reports = reports_of(thinker, tmp_path, clock, limits=LIMITS)
-    assert "bank of 5 s is empty" in forfeit(reports)
+    assert "bank of 5 s is empty" in reports.forfeit
     assert clock.now == 11 * 1.5  # the bank holds ten half seconds, and the eleventh is one too many
-    assert episodes(reports, tmp_path)[-1].ending is Ending.VOID
+    assert reports.episodes(tmp_path)[-1].ending is Ending.VOID
 
 
 class Asking(Thinker):
@@ -136,7 +121,7 @@ def test_an_agent_that_asks_is_told_what_time_is_left(tmp_path: Path) -> None:
     asking = Asking(clock, 1.25, "yes")
     asking.path = (1,)
     reports = reports_of(asking, tmp_path, clock, limits=LIMITS, steps=16, max_steps=6, env="skeleton")
-    assert reports[-1] == Ended(None)
+    assert not reports.forfeit
     first, *told = asking.heard
     assert first == ASK
     assert told[0] == f"time-left bank=5.000 total={LIMITS.total_seconds:.3f}"
@@ -175,16 +160,16 @@ def test_who_fails_after_the_last_step_of_an_episode_has_played_it(late: bool, t
     agent = LateThinker(clock, 100.0) if late else LateRaiser()
     agent.path = (1,)
     reports = reports_of(agent, tmp_path, clock, limits=LIMITS, steps=400, env="skeleton")
-    assert ("is empty" if late else "at the end") in forfeit(reports)
-    (episode,) = episodes(reports, tmp_path)
+    assert ("is empty" if late else "at the end") in reports.forfeit
+    (episode,) = reports.episodes(tmp_path)
     assert episode.ending is Ending.TERMINAL
-    assert len([report for report in reports if isinstance(report, Recorded)]) == 1
+    assert len(reports.results) == 1
 
 
 def test_an_episode_ends_at_its_step_limit(tmp_path: Path) -> None:
     reports = reports_of(Walker((1,)), tmp_path, steps=40, env="skeleton", max_steps=6)
-    assert reports[-1] == Ended(None)
-    assert {len(episode.steps) for episode in episodes(reports, tmp_path)} == {5}
+    assert not reports.forfeit
+    assert {len(episode.steps) for episode in reports.episodes(tmp_path)} == {5}
 
 
 class Illegal(Walker):
@@ -218,7 +203,7 @@ class Raising(Walker):
     ],
 )
 def test_what_an_agent_does_wrong_is_the_reason_in_one_line(agent: Walker, why: str, tmp_path: Path) -> None:
-    reason = forfeit(reports_of(agent, tmp_path))
+    reason = reports_of(agent, tmp_path).forfeit
     assert why in reason
     assert reason.isprintable()
     assert len(reason) <= 300
@@ -227,8 +212,8 @@ def test_what_an_agent_does_wrong_is_the_reason_in_one_line(agent: Walker, why: 
 def test_one_who_never_connects_forfeits(tmp_path: Path) -> None:
     ticks = itertools.count()
     reports = reports_of(None, tmp_path, lambda: float(next(ticks)), limits=Limits(start_seconds=5.0))
-    assert forfeit(reports) == "it did not connect within 5 s"
-    assert episodes(reports, tmp_path) == []
+    assert reports.forfeit == "it did not connect within 5 s"
+    assert reports.episodes(tmp_path) == []
 
 
 class Breaking(MinesEnvironment):
@@ -264,8 +249,8 @@ def test_actions_that_no_record_can_hold_are_the_entrants_fault(
             return Action(ints=[0], chars=self.steps.to_bytes(4, "big") * 1_000_000)
 
     reports = reports_of(Verbose(), tmp_path, env=f"{__name__}:AnyText", steps=40)
-    assert "its actions take more than 16 MiB in an episode" in forfeit(reports)
-    assert episodes(reports, tmp_path)[-1].ending is Ending.VOID
+    assert "its actions take more than 16 MiB in an episode" in reports.forfeit
+    assert reports.episodes(tmp_path)[-1].ending is Ending.VOID
 
 
 class Overdrawn(Thread):
@@ -277,8 +262,8 @@ class Overdrawn(Thread):
 
 def test_an_offence_that_is_known_at_the_end_is_a_forfeit_too(tmp_path: Path) -> None:
     reports = reports_of(InThread(Walker(), Overdrawn), tmp_path)
-    assert forfeit(reports) == "its program used more than 64 MiB of memory"
-    assert all(episode.ending is not Ending.VOID for episode in episodes(reports, tmp_path))
+    assert reports.forfeit == "its program used more than 64 MiB of memory"
+    assert all(episode.ending is not Ending.VOID for episode in reports.episodes(tmp_path))
 
 
 class Interrupted(Thread):

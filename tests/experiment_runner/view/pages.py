@@ -10,11 +10,12 @@ import os
 import re
 import signal
 import socket
+import struct
 import subprocess
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 from urllib.parse import unquote
 
 import uvicorn
@@ -24,6 +25,7 @@ from experiment_runner.view import app
 from experiment_runner.view.catalog import Catalog
 from experiment_runner.view.guard import Address
 from experiment_runner.view.stream import Pulse
+from glue.types import Action, Observation, body_size
 from tests.forked import BIN
 from tests.system.runs import wait_until
 from tests.terminal import Terminal, watched_terminal
@@ -40,6 +42,17 @@ class Answer(NamedTuple):
 
     def json(self) -> Any:
         return json.loads(self.body)
+
+
+def sent(
+    port: int, path: str, headers: Mapping[str, str], method: str = "GET", content: bytes | None = None
+) -> Answer:
+    """Send a request to a server of this machine; return its answer."""
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=_SECONDS)) as connection:
+        connection.request(method, path, content, dict(headers))
+        response = connection.getresponse()
+        found = {name.lower(): value for name, value in response.getheaders()}
+        return Answer(response.status, found, response.read())
 
 
 class Page:
@@ -60,22 +73,9 @@ class Page:
         self.cookie = answer.headers["set-cookie"].partition(";")[0]
         return answer
 
-    def ask(
-        self, path: str, headers: Mapping[str, str] | None = None, method: str = "GET", content: bytes = b""
-    ) -> Answer:
-        """Send a request without normalising it, with the cookie unless `headers` has another."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=_SECONDS)
-        with contextlib.closing(connection):
-            given = {"Cookie": self.cookie} | dict(headers or {})
-            connection.putrequest(method, path, skip_host="Host" in given)
-            for name, value in given.items():
-                connection.putheader(name, value)
-            if content:
-                connection.putheader("Content-Length", str(len(content)))
-            connection.endheaders(content or None)
-            response = connection.getresponse()
-            found = {name.lower(): value for name, value in response.getheaders()}
-            return Answer(response.status, found, response.read())
+    def ask(self, path: str, headers: Mapping[str, str] | None = None) -> Answer:
+        """Send a request, with the cookie unless `headers` has another."""
+        return sent(self.port, path, {"Cookie": self.cookie} | dict(headers or {}))
 
     def run_id(self, name: str) -> str:
         """Return the id of the run in the directory with a given name, once the page has found it."""
@@ -90,8 +90,11 @@ class Page:
         self._streams.append(Stream(self, query, headers))
         return self._streams[-1]
 
-    def close(self) -> None:
-        """Close all streams."""
+    def __enter__(self) -> Self:
+        self.log_in()
+        return self
+
+    def __exit__(self, *_: object) -> None:
         while self._streams:
             self._streams.pop().close()
 
@@ -165,6 +168,21 @@ def asked(
     return Answer(start["status"], found, b"".join(part["body"] for part in parts))
 
 
+def unpacked(content: bytes) -> tuple[dict[str, Any], list[tuple[float, Action, Observation]]]:
+    """Return the header of a packed episode; and the reward, action and observation of each of its steps, of
+    which the first is the start.
+    """
+    (size,) = struct.unpack_from("<I", content)
+    at, steps = 4 + size, []
+    while at < len(content):
+        middle = at + 8 + body_size(content, at + 8)
+        end = middle + body_size(content, middle)
+        action, seen = Action.from_body(content[at + 8 : middle]), Observation.from_body(content[middle:end])
+        steps.append((*struct.unpack_from("<d", content, at), action, seen))
+        at = end
+    return json.loads(content[4 : 4 + size]), steps
+
+
 class Stream:
     """An open stream of events."""
 
@@ -205,9 +223,7 @@ def shown_by(*command: str, cwd: Path) -> Iterator[Page]:
         return terminal.end()
 
     try:
-        page = Page(end, terminal.wait_for(r"http://\S+token=\S+")[0])
-        page.log_in()
-        with contextlib.closing(page):
+        with Page(end, terminal.wait_for(r"http://\S+token=\S+")[0]) as page:
             yield page
     finally:
         terminal.close()
@@ -225,7 +241,6 @@ def in_terminal(*command: str, cwd: Path) -> Iterator[tuple[Page, list[bytes]]]:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=writing,
-            text=True,
         ) as process,
     ):
 
@@ -235,9 +250,7 @@ def in_terminal(*command: str, cwd: Path) -> Iterator[tuple[Page, list[bytes]]]:
 
         try:
             wait_until(lambda: re.search(rb"token=\S+\s", b"".join(seen)), "the page's address")
-            page = Page(end, re.findall(r"http://\S+", b"".join(seen).decode())[0])
-            page.log_in()
-            with contextlib.closing(page):
+            with Page(end, re.findall(r"http://\S+", b"".join(seen).decode())[0]) as page:
                 yield page, seen
         finally:
             process.kill()

@@ -1,7 +1,7 @@
 """Files that a stranger has laid in a run, a competition, a folder of keys or in place of a recording.
 
 Whatever lies there, reading and continuing end at once with a result or with one clear error, and nothing is
-written outside the folder.
+written outside the folder. Who waits for a file, as opening a FIFO would, meets the timeout of its test.
 """
 
 from __future__ import annotations
@@ -9,10 +9,8 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 
 import pytest
 
@@ -33,69 +31,46 @@ from experiment_runner.view.catalog import Catalog, run_in_full
 from glue.errors import GlueError
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
-from tests.forked import run
+from tests.experiment_runner.competition.contest import compete
 
 PLAN = Plan(episodes=2, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 PRECIOUS = b"precious " * 20
-SECONDS = 200  # more than any of these takes on a busy machine
 
 
-def fifo(path: Path, target: Path) -> None:
-    os.mkfifo(path)
+def hole(path: Path, victim: Path) -> None:
+    path.touch()
+    os.truncate(path, 2**40)
 
 
-def dangling_link(path: Path, target: Path) -> None:
-    path.symlink_to(path.parent.parent / "nothing")
-
-
-def device(path: Path, target: Path) -> None:
-    path.symlink_to("/dev/zero")
-
-
-def folder(path: Path, target: Path) -> None:
-    (path / "inner").mkdir(parents=True)
-
-
-def hole(path: Path, target: Path) -> None:
-    with path.open("wb") as file:
-        file.truncate(2**40)
-
-
-def unreadable(path: Path, target: Path) -> None:
+def unreadable(path: Path, victim: Path) -> None:
     path.write_bytes(b"x")
     path.chmod(0)
 
 
-THINGS = [
-    *(Path.symlink_to, fifo, hole),
-    *(
-        pytest.param(thing, marks=pytest.mark.stage("attacks"))
-        for thing in (Path.hardlink_to, dangling_link, device, folder, unreadable)
-    ),
-]
+THINGS: dict[str, Callable[[Path, Path], object]] = {
+    "link": Path.symlink_to,
+    "fifo": lambda path, victim: os.mkfifo(path),
+    "hole": hole,
+    "hard link": Path.hardlink_to,
+    "dangling link": lambda path, victim: path.symlink_to(path.parent.parent / "nothing"),
+    "device": lambda path, victim: path.symlink_to("/dev/zero"),
+    "folder": lambda path, victim: (path / "inner").mkdir(parents=True),
+    "unreadable": unreadable,
+}
+MOST = ("link", "fifo", "hole")
+each_thing = pytest.mark.parametrize(
+    "thing",
+    [name if name in MOST else pytest.param(name, marks=pytest.mark.stage("attacks")) for name in THINGS],
+)
 
 
-@pytest.fixture(autouse=True)
-def soon() -> Iterator[None]:
-    """Fail a test that waits for a file, as opening a FIFO would."""
-
-    def expired(number: int, frame: FrameType | None) -> None:
-        raise AssertionError("a file is waited for")
-
-    before = signal.signal(signal.SIGALRM, expired)
-    signal.alarm(SECONDS)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
-
-
-def lay(path: Path, thing: Callable[[Path, Path], None], victim: Path) -> None:
+def lay(path: Path, thing: str, victim: Path) -> None:
     if path.is_dir():
         shutil.rmtree(path)
     path.unlink(missing_ok=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     victim.write_bytes(PRECIOUS)
-    thing(path, victim)
+    THINGS[thing](path, victim)
 
 
 def tried(*uses: Callable[[], object]) -> None:
@@ -131,12 +106,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("thing", THINGS)
+@each_thing
 @pytest.mark.parametrize(
     "name",
     ["lock", "plan.toml", "run.json", "results.sqlite", "results.sqlite-wal", "notes.json", "hubs.json"],
 )
-def test_a_run(made: Path, tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
+def test_a_run(made: Path, tmp_path: Path, name: str, thing: str) -> None:
     directory, victim = shutil.copytree(made, tmp_path / "runs") / "run", tmp_path / "victim"
     lay(directory / name, thing, victim)
     lock_holder(directory)
@@ -180,14 +155,10 @@ def test_a_folder_of_a_run_that_leads_elsewhere_is_not_written_to(made: Path, tm
 def held(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A competition that was held and verified, of an entrant whose program ends at once."""
     home = tmp_path_factory.mktemp("held")
-    (home / "secret.txt").write_text("only a test")
-    (home / "small.toml").write_text(
-        'seed_file = "secret.txt"\ntrials = 1\n[tasks.walk]\nenv = "skeleton"\nepisodes = 1\n'
-        '[entrants.alice]\ncommand = ["true"]\n'
-    )
-    for command in ("run", "small.toml", "--out", "run"), ("verify", "run"):
-        done = run("glue-compete", *command, cwd=home)
-        assert done.returncode == 0, done.stderr
+    text = 'seed_env = "SECRET"\ntasks.walk = { env = "skeleton", episodes = 1 }\n'
+    (home / "small.toml").write_text(text + 'entrants.a.command = ["true"]\n')
+    compete(home, "run", "small.toml", "--out", "run")
+    compete(home, "verify", "run")
     return home / "run"
 
 
@@ -201,15 +172,15 @@ def verify_again(directory: Path) -> None:
         verify(store, {"walk": 0}, lambda line: None)
 
 
-@pytest.mark.parametrize("thing", THINGS)
+@each_thing
 @pytest.mark.parametrize(
     "name",
     [
         *("competition.toml", "journal.jsonl", "seal.json", "run.json", "lock"),
-        *("records/alice/walk/0.traj", "records/alice"),
+        *("records/a/walk/0.traj", "records/a"),
     ],
 )
-def test_a_competition(held: Path, tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
+def test_a_competition(held: Path, tmp_path: Path, name: str, thing: str) -> None:
     directory, victim = tmp_path / "run", tmp_path / "victim"
     shutil.copytree(held, directory)
     lay(directory / name, thing, victim)
@@ -217,9 +188,9 @@ def test_a_competition(held: Path, tmp_path: Path, name: str, thing: Callable[[P
     assert victim.read_bytes() == PRECIOUS
 
 
-@pytest.mark.parametrize("thing", THINGS)
+@each_thing
 @pytest.mark.parametrize("name", ["hub.key_secret", "hub.key", "allow.toml", "user.key"])
-def test_a_folder_of_keys(tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
+def test_a_folder_of_keys(tmp_path: Path, name: str, thing: str) -> None:
     pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
     from glue.keys.allowed import read_keys
     from tests.keyed import KeyFolder
@@ -233,8 +204,8 @@ def test_a_folder_of_keys(tmp_path: Path, name: str, thing: Callable[[Path, Path
     assert (tmp_path / "victim").read_bytes() == PRECIOUS
 
 
-@pytest.mark.parametrize("thing", THINGS)
-def test_a_recording(tmp_path: Path, thing: Callable[[Path, Path], None]) -> None:
+@each_thing
+def test_a_recording(tmp_path: Path, thing: str) -> None:
     path, victim = tmp_path / "a/x.traj", tmp_path / "victim"
     lay(path, thing, victim)
     tried(

@@ -27,9 +27,6 @@ from glue.wire.messages import Role
 
 HUB_KEY = encode(new_pair().public)
 
-Entrant = tuple[Season, list[float]]
-"""A season, and how long its program has slept each time."""
-
 
 class Script:
     """A page that gives planned answers.
@@ -38,6 +35,8 @@ class Script:
         answers: status and body of the next answers, in order; the last one is given again and again.
         asked: path and body of the requests.
         cut: bytes of the next answer that do not come, as when the page is killed.
+        slept: how long the entrant's program has slept each time.
+        said: what it has been told.
     """
 
     def __init__(self) -> None:
@@ -47,6 +46,8 @@ class Script:
         self.retry_after = "7"
         self.cut = 0
         self.url = ""
+        self.slept: list[float] = []
+        self.said: list[str] = []
 
 
 @pytest.fixture
@@ -89,99 +90,83 @@ def script() -> Iterator[Script]:
 
 
 @pytest.fixture
-def season(script: Script, tmp_path: Path) -> Entrant:
+def season(script: Script, tmp_path: Path) -> Season:
     _, secret = write_pair(tmp_path, "alice", new_pair())
-    slept: list[float] = []
-    return Season(Membership(script.url, "alice", secret, HUB_KEY, "t"), slept.append), slept
+    return Season(Membership(script.url, "alice", secret, HUB_KEY, "t"), script.slept.append)
 
 
 PLAYING = {"state": "playing", "attempt": 3, "hub": "tcp://0.0.0.0:4098", "session": "alice", "trials": 2}
 OVER: dict[str, Any] = {"state": "over", "attempt": 3, "score": 12.5}
 
 
-def test_an_attempt_waits_and_plays_each_trial_and_ends(script: Script, season: Entrant) -> None:
+def test_an_attempt_waits_and_plays_each_trial_and_ends(script: Script, season: Season) -> None:
     script.answers = [
         (200, {"state": "waiting", "attempt": 3, "place": 40}),
         (200, {"state": "waiting", "attempt": 3, "place": 2}),
         (200, {**PLAYING, "trial": 1}),
-        (200, {**PLAYING, "trial": 1}),  # asked by the player itself
+        (200, {**PLAYING, "trial": 1}),  # asked by the player itself, as the next
         (200, {**PLAYING, "trial": 2}),
         (200, {**PLAYING, "trial": 2}),
+        (200, {"state": "verifying", "attempt": 3}),
         (200, {"state": "verifying", "attempt": 3}),
         (200, OVER),
     ]
     played: list[Target] = []
-    said: list[str] = []
 
     def serve(target: Target, on: Callable[[], bool]) -> None:
         played.append(target)
-        on()
+        while on():  # until it hears that its trial is over
+            pass
 
-    found, slept = season
-    assert found.play(serve, said.append) == Progress(**OVER)
+    assert season.play(serve, script.said.append) == Progress(**OVER)
     assert [(one.hub, one.session) for one in played] == [("tcp://127.0.0.1:4098", "alice")] * 2
-    assert [body for _, body in script.asked] == [{"attempt": 0}] + [{"attempt": 3}] * 7
-    assert said[0] == "attempt 3 waits, place 40 in the queue"
-    assert said[-2:] == [
+    assert [body for _, body in script.asked] == [{"attempt": 0}] + [{"attempt": 3}] * 8
+    assert script.said[0] == "attempt 3 waits, place 40 in the queue"
+    assert script.said[-2:] == [
         "attempt 3 is played, trial 2 of 2",
         "attempt 3 has been played, and is being verified",
     ]
-    assert slept == [10.0, 2, 1.0, 1.0, 1.0]
-    assert len(set(script.signatures)) == 8
+    assert script.slept == [10.0, 2, 1.0, 1.0, 1.0]
+    assert len(set(script.signatures)) == 9
 
 
-def test_a_player_hears_that_its_trial_is_over(script: Script, season: Entrant) -> None:
-    script.answers = [(200, {**PLAYING, "trial": 1}), (200, {**PLAYING, "trial": 1})]
-    script.answers += [(200, {**PLAYING, "trial": 2}), (200, OVER)]
-    heard: list[bool] = []
-
-    def serve(target: Target, on: Callable[[], bool]) -> None:
-        heard.extend([on(), on()])
-
-    season[0].play(serve, lambda line: None)
-    assert heard == [True, False]
-
-
-def test_a_page_that_is_restarted_is_asked_again(script: Script, season: Entrant) -> None:
+def test_a_page_that_is_restarted_is_asked_again(script: Script, season: Season) -> None:
     script.answers = [(503, {"error": "not running"}), (429, {"error": "too many"}), (200, OVER)]
-    said: list[str] = []
-    assert season[0].play(None, said.append) == Progress(**OVER)
-    assert said == ["not running; asking again"]
-    assert season[1] == [7.0, 7.0]
+    assert season.play(None, script.said.append) == Progress(**OVER)
+    assert script.said == ["not running; asking again"]
+    assert script.slept == [7.0, 7.0]
 
 
-def test_an_answer_that_breaks_off_is_asked_for_again(script: Script, season: Entrant) -> None:
+def test_an_answer_that_breaks_off_is_asked_for_again(script: Script, season: Season) -> None:
     script.answers, script.cut = [(200, b'{"state": '), (200, OVER)], 10
-    said: list[str] = []
-    assert season[0].play(None, said.append) == Progress(**OVER)
-    assert "IncompleteRead" in said[0]
+    assert season.play(None, script.said.append) == Progress(**OVER)
+    assert "IncompleteRead" in script.said[0]
 
 
-def test_an_attempt_that_the_season_failed_is_followed_by_another(script: Script, season: Entrant) -> None:
+def test_an_attempt_that_the_season_failed_is_followed_by_another(script: Script, season: Season) -> None:
     script.answers = [(200, {"state": "waiting", "attempt": 3, "why": "a new disk"})]
     script.answers += [(200, {"state": "verifying", "attempt": 4}), (200, {**OVER, "attempt": 4})]
-    said: list[str] = []
-    assert season[0].play(None, said.append).attempt == 4
-    assert said[0] == "attempt 3 waits, and nothing is played now: a new disk"
+    assert season.play(None, script.said.append).attempt == 4
+    assert script.said[0] == "attempt 3 waits, and nothing is played now: a new disk"
     assert [body["attempt"] for _, body in script.asked] == [0, 3, 3]
     ours = {"state": "over", "attempt": 5, "outcome": "ours", "why": "a disk was full"}
     script.answers = [(200, ours)]  # nothing follows, as when the season was closed
-    assert str(season[0].play(None, said.append)) == "attempt 5 is over; ours (a disk was full)"
+    assert str(season.play(None, script.said.append)) == "attempt 5 is over; ours (a disk was full)"
 
 
-def test_a_page_that_stays_away_is_given_up(script: Script, season: Entrant) -> None:
+def test_a_page_that_stays_away_is_given_up(script: Script, season: Season) -> None:
     script.answers = [(503, {"error": "not running"})]
     with pytest.raises(SeasonBusy, match="not running"):
-        season[0].play(None, lambda line: None)
-    assert 590 < sum(season[1]) <= 600
+        season.play(None, script.said.append)
+    assert 590 < sum(script.slept) <= 600
 
 
-def test_who_has_no_attempt_left_today_is_not_kept_waiting(script: Script, season: Entrant) -> None:
+def test_who_has_no_attempt_left_today_is_not_kept_waiting(script: Script, season: Season) -> None:
     script.retry_after = "40000"
     script.answers = [(429, {"error": "no attempts are left: 2 of 2 used, the next on Tuesday"})]
     with pytest.raises(SeasonBusy, match="the next on Tuesday"):
-        season[0].play(None, lambda line: None)
-    assert season[1] == []
+        season.play(None, script.said.append)
+    assert script.slept == []
 
 
 @pytest.mark.parametrize(
@@ -198,11 +183,11 @@ def test_who_has_no_attempt_left_today_is_not_kept_waiting(script: Script, seaso
     ],
 )
 def test_any_other_answer_ends_the_attempt(
-    script: Script, season: Entrant, answer: tuple[int, Any], why: str
+    script: Script, season: Season, answer: tuple[int, Any], why: str
 ) -> None:
     script.answers = [answer]
     with pytest.raises(SeasonRefused, match=why):
-        season[0].play(None, lambda line: None)
+        season.play(None, script.said.append)
 
 
 def test_an_address_is_that_of_a_page() -> None:

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import os
 
-from glue.types import Action
 from tests.jails.hostile.honest import Honest, play
 
 
 class Crashes(Honest):
-    def act(self) -> Action:
-        if self.steps == 20:
-            print("the last words of crashes")
-            os._exit(3)
-        return super().act()
+    def misbehave(self) -> None:
+        print("the last words of crashes")
+        os._exit(3)
 
 
 if __name__ == "__main__":

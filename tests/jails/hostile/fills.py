@@ -6,17 +6,14 @@ import os
 import sys
 from pathlib import Path
 
-from glue.types import Action
 from tests.jails.hostile.honest import FOLDERS, Honest, play
 
 
 class Fills(Honest):
-    def act(self) -> Action:
-        if self.steps == 20:
-            for folder in (*FOLDERS, "/dev", "/proc"):
-                print(f"{folder}: {fill(Path(folder))}")
-            os._exit(4)
-        return super().act()
+    def misbehave(self) -> None:
+        for folder in (*FOLDERS, "/dev", "/proc"):
+            print(f"{folder}: {fill(Path(folder))}")
+        os._exit(4)
 
 
 def fill(folder: Path) -> str:

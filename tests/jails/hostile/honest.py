@@ -25,8 +25,13 @@ class Honest(Agent):
         return self.act()
 
     def act(self) -> Action:
+        if self.steps == 20:
+            self.misbehave()
         self.steps += 1
         return Action(ints=[self.steps // 3 % 4])
+
+    def misbehave(self) -> None:
+        """Do something else in the middle of an episode, as others do."""
 
 
 def play(agent: Honest) -> None:

@@ -3,40 +3,32 @@
 from __future__ import annotations
 
 import hashlib
-import http.client
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 from starlette.applications import Starlette
 from starlette.types import Receive, Scope, Send
 
 from experiment_runner.competition.season.control import Key, Reply, Request
 from experiment_runner.competition.season.entrance import routes
 from glue.client.libzmq import new_pair
-from glue.client.season import PREFIX, Membership, Page
+from glue.client.season import PREFIX, Membership, Page, Season
 from glue.errors import ExperimentError
 from glue.keys.certificates import KeyPair, encode, write_pair
 from glue.keys.requests import signed
 from tests.experiment_runner.competition.season import inside
 from tests.experiment_runner.competition.season.test_control import served
-from tests.experiment_runner.view.pages import in_thread
+from tests.experiment_runner.view.pages import Answer, in_thread, sent
 
 FILE = (
     inside.FILE.replace("failures = 2", 'images = true\nmost_bytes = "1m"')
-    + """\
-final = { env = "skeleton", episodes = 3 }
-[tasks.secret]
-env = "mines"
-options = { level_seed = 7, random_start = false }
-episodes = 3
-rate = 50
-phase = "proving"
-hidden = true
-"""
+    + 'final = { env = "skeleton", episodes = 3 }\n'
+    + 'secret = { env = "mines", options = { level_seed = 7, random_start = false }, episodes = 3, '
+    + 'rate = 50, phase = "proving", hidden = true }\n'
 )
 
 
@@ -55,6 +47,7 @@ class Entrance:
         self.replies: list[Reply | Exception] = []
         self.asked: list[Request] = []
         self.pair = new_pair()
+        _, self.secret = write_pair(folder, "alice", self.pair)
         self.port = 0
 
     def start(self, now: Callable[[], float] = time.time) -> None:
@@ -89,21 +82,41 @@ class Entrance:
 
     def ask(
         self, content: bytes = b"{}", headers: Mapping[str, str] | None = None, what: str = "attempt"
-    ) -> tuple[int, Mapping[str, str], Any]:
-        """Send a request, of alice if no headers are given; return status, headers and body of the answer."""
+    ) -> Answer:
+        """Send a request, of alice if no headers are given."""
         headers = self.headers(content, what) if headers is None else headers
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
-        try:
-            connection.request("POST", PREFIX + what, content, dict(headers))
-            response = connection.getresponse()
-            return response.status, dict(response.headers), json.loads(response.read())
-        finally:
-            connection.close()
+        return sent(self.port, PREFIX + what, headers, "POST", content)
 
-    def membership(self, folder: Path) -> Membership:
-        """Return what alice has of the season, with her key in a folder."""
-        _, secret = write_pair(folder, "alice", self.pair)
-        return Membership(self.url, "alice", secret, encode(new_pair().public), "token")
+    def refuses(self, status: int, why: str, content: bytes = b"{}", **more: Any) -> None:
+        """Send a request as `ask` does, which is refused for this reason."""
+        answer = self.ask(content, **more)
+        assert answer.status == status, answer
+        assert why in answer.json()["error"]
+
+    @property
+    def membership(self) -> Membership:
+        """What alice has of the season."""
+        return Membership(self.url, "alice", self.secret, encode(new_pair().public), "token")
+
+    @property
+    def season(self) -> Season:
+        """The season as her programs see it."""
+        return Season(self.membership)
+
+
+@pytest.fixture(scope="module")
+def shared(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Entrance]:
+    """An entrance of the season in a module's `TEXT`, or of the usual one."""
+    text = getattr(request.module, "TEXT", FILE)
+    with entrance_at(tmp_path_factory.mktemp("season") / "run", text) as entrance:
+        yield entrance
+
+
+@pytest.fixture
+def entrance(shared: Entrance) -> Entrance:
+    shared.replies.clear()
+    shared.asked.clear()
+    return shared
 
 
 @contextmanager

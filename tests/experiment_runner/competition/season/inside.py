@@ -9,6 +9,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Self
 
+import pytest
+
 from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.match import NOT_CONNECTED, Match, play
 from experiment_runner.competition.organiser import open_competition
@@ -24,6 +26,7 @@ from experiment_runner.executors.job import Ended
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.client.libzmq import new_pair
+from glue.errors import ExperimentError
 from glue.keys.certificates import encode, write_pair
 from tests.experiment_runner.competition.players import InThread, Walker
 
@@ -187,6 +190,12 @@ class Season:
     def ask(self, request: Request) -> Reply:
         return self.server.answer(request)
 
+    def refuses(self, request: Request, why: str) -> ExperimentError:
+        """Have the server refuse a request for this reason; return the refusal."""
+        with pytest.raises(ExperimentError, match=why) as refused:
+            self.ask(request)
+        return refused.value
+
     def act(self, kind: str, subject: str = "", **more: Any) -> list[str]:
         found: list[str] = self.ask(Organise(kind, subject, **{"why": "because", **more}))["acts"]
         return found
@@ -195,8 +204,12 @@ class Season:
         """Let entrants enrol; return their tokens."""
         return [self.ask(Enrol(name, encode(new_pair().public), CODE))["token"] for name in names]
 
-    def attempt(self, name: str) -> int:
-        """Let an entrant play an attempt, until it is over; return its number."""
+    def attempt(self, name: str, *agent: Any) -> int:
+        """Let an entrant play an attempt, until it is over, from now on with another agent if there is one;
+        return its number.
+        """
+        if agent:
+            (self.executor.agents[name],) = agent
         number: int = self.ask(Attempt(name))["attempt"]
         self.turns()
         return number

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,28 +16,15 @@ from tests.experiment_runner.competition.season.inside import FILE, Season
 from tests.experiment_runner.competition.season.made import FILE as MADE
 from tests.experiment_runner.competition.season.made import Made
 
-WITH_TESTING = (
-    FILE
-    + f"""
-[tasks.final]
-env = "skeleton"
-episodes = 2
-[entrants.walk]
-command = ["{sys.executable}", "agent.py", "walk"]
-"""
-)
-
-
-def compete(folder: Path, *arguments: str) -> str:
-    """Run `glue-compete`; return its exit status and all that it prints."""
-    done = contest.compete(folder, *arguments, secret="nobody knows")
-    return f"{done.returncode}\n{done.stdout}{done.stderr}"
+TESTING = 'final = { env = "skeleton", episodes = 2 }\n'
+WITH_TESTING = FILE + TESTING + contest.ENTRANT.format(name="walk", kind="walk")
 
 
 @pytest.mark.stage("season")
 def test_a_season_is_closed_tested_bundled_and_verified(tmp_path: Path) -> None:
     contest.write(tmp_path, WITH_TESTING)
     season = Season(tmp_path, WITH_TESTING)
+    compete = partial(contest.compete, tmp_path, secret="nobody knows")
     run = ("run", "spring.toml", "--out", "run")
     with season.stack:
         season.enrol("alice")
@@ -45,31 +32,30 @@ def test_a_season_is_closed_tested_bundled_and_verified(tmp_path: Path) -> None:
         season.act("exclude", "alice")
         season.turns()
         assert season.states("walk") == {1: "over"}
-    assert "the season is not over: glue-compete serve" in compete(tmp_path, *run)
-    assert "the season is not closed: glue-compete close" in compete(tmp_path, "bundle", "run", "bundle")
-    shown = json.loads(compete(tmp_path, "board", "run", "--format", "json").partition("\n")[2])
+    assert "the season is not over: glue-compete serve" in compete(*run, status=1)
+    assert "the season is not closed: glue-compete close" in compete("bundle", "run", "bundle", status=1)
+    shown = json.loads(compete("board", "run", "--format", "json"))
     assert [(row["name"], row["place"]) for row in shown["entrants"]] == [("walk", 1), ("alice", None)]
 
-    assert compete(tmp_path, "close", "run", "--why", "it is over")[0] == "0"
-    assert "all 2 trials are over" in compete(tmp_path, *run)
-    verified = compete(tmp_path, "verify", "run")
-    assert verified.startswith("0\n6 of 6 trials are verified"), verified
-    assert ["1", "walk"] in [line.split()[:2] for line in compete(tmp_path, "board", "run").splitlines()]
-    assert "alice" in compete(tmp_path, "board", "run", "--season")
-    assert compete(tmp_path, "bundle", "run", "bundle")[0] == "0"
+    compete("close", "run", "--why", "it is over")
+    assert "all 2 trials are over" in compete(*run)
+    assert "6 of 6 trials are verified" in compete("verify", "run")
+    assert ["1", "walk"] in [line.split()[:2] for line in compete("board", "run").splitlines()]
+    assert "alice" in compete("board", "run", "--season")
+    compete("bundle", "run", "bundle")
     assert {path.name for path in (tmp_path / "bundle").iterdir()} == {
         *("board.json", "competition.toml", "journal.jsonl", "lock", "records", "results.sqlite"),
         *("run.json", "seal.json"),
     }
-    assert compete(tmp_path, "verify", "bundle").startswith("0\n6 of 6 trials are verified")
+    assert "6 of 6 trials are verified" in compete("verify", "bundle")
     board = tmp_path / "bundle" / "board.json"
     found = json.loads(board.read_text())
     assert found["season"]["entrants"][0]["score"] == shown["entrants"][0]["score"]
     grade = found["standings"]["entrants"][0]["total"]
-    assert f"walk,{grade}" in compete(tmp_path, "export", "run", "--grades", "moodle")
+    assert f"walk,{grade}" in compete("export", "run", "--grades", "moodle")
     found["season"]["entrants"][0]["score"] += 1
     board.write_text(json.dumps(found))
-    assert "board.json is not the board" in compete(tmp_path, "verify", "bundle")
+    assert "board.json is not the board" in compete("verify", "bundle", status=1)
 
 
 def test_a_journal_without_acts_has_no_board(tmp_path: Path) -> None:

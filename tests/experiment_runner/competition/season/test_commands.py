@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,28 +17,22 @@ from glue.client.season import Membership, read_membership
 from glue.errors import ExperimentError
 from glue.keys.certificates import encode, read_pair
 from tests import forked
-from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
+from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance, shared
 
-SHORT = FILE.partition("[tasks.secret]")[0].replace("trials = 2", "trials = 1")
+__all__ = ["entrance", "shared"]
 
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Entrance]:
-    with entrance_at(tmp_path_factory.mktemp("season") / "run", SHORT) as entrance:
-        yield entrance
+TEXT = FILE.partition("secret = ")[0].replace("trials = 2", "trials = 1")
 
 
-@pytest.fixture
-def entrance(shared: Entrance, tmp_path: Path) -> Entrance:
-    """An entrance; the test's folder holds what alice has of the season."""
-    shared.replies.clear()
-    shared.asked.clear()
-    shared.membership(tmp_path).write(tmp_path / "season.toml")
-    return shared
+@pytest.fixture(autouse=True)
+def member(shared: Entrance, tmp_path: Path) -> None:
+    """Write what alice has of the season into the test's folder."""
+    shared.membership.write(tmp_path / "season.toml")
+    shutil.copy(shared.secret, tmp_path)
 
 
-def run(folder: Path, *arguments: str, **settings: str) -> subprocess.CompletedProcess[str]:
-    return forked.run(*arguments, cwd=folder, env=settings or None, timeout=100)
+def run(folder: Path, *arguments: str, status: int = 0, **settings: str) -> subprocess.CompletedProcess[str]:
+    return forked.run(*arguments, cwd=folder, env=settings or None, timeout=100, status=status)
 
 
 def test_who_joins_has_all_that_is_needed_in_a_file(entrance: Entrance, tmp_path: Path) -> None:
@@ -48,10 +42,8 @@ def test_who_joins_has_all_that_is_needed_in_a_file(entrance: Entrance, tmp_path
         {"hub_key": hub_key, "token": "secret", "alias": "red fox"},
     ]
     join = ("glue-compete", "join", entrance.url, "--name", "bob", "--dir", "bob", "--code")
-    done = run(tmp_path, *join, "lemon")
-    assert (done.returncode, "that is not the code" in done.stderr) == (1, True)
+    assert "that is not the code" in run(tmp_path, *join, "lemon", status=1).stderr
     done = run(tmp_path, *join, "lemonade")
-    assert done.returncode == 0, done.stderr
     assert f"{entrance.url}/?token=secret" in done.stderr
     assert "red fox" in done.stderr
     written = read_membership(tmp_path / "bob/season.toml")
@@ -59,10 +51,7 @@ def test_who_joins_has_all_that_is_needed_in_a_file(entrance: Entrance, tmp_path
     assert written.key.stat().st_mode & 0o777 == 0o600
     key = encode(read_pair(written.key).public)
     assert entrance.asked == [Enrol("bob", key, "lemon"), Enrol("bob", key, "lemonade")]
-    done = run(tmp_path, *join, "lemonade")
-    assert (done.returncode, "season.toml exists" in done.stderr) == (2, True)
-    done = run(tmp_path, "glue-compete", "join", entrance.url, "--dir", "b", "--name", "Bob Müller")
-    assert (done.returncode, "cannot be a name" in done.stderr) == (2, True)
+    assert "season.toml exists" in run(tmp_path, *join, "lemonade", status=2).stderr
 
 
 def test_an_attempt_that_an_image_plays_is_waited_for_and_its_result_is_the_output(
@@ -72,53 +61,47 @@ def test_an_attempt_that_an_image_plays_is_waited_for_and_its_result_is_the_outp
     over = {"state": "over", "attempt": 2, "score": 7.5, "place": 1, "of": 3, "left": 4}
     entrance.replies = [playing, {"state": "verifying", "attempt": 2}, over]
     done = run(tmp_path, "glue-agent", "random", "--season", "season.toml")
-    assert done.returncode == 0, done.stderr
     assert done.stdout == "attempt 2 is over; score 7.5; place 1 of 3; attempts left: 4\n"
     assert "Error" not in done.stderr
     assert entrance.asked == [Attempt("alice"), Attempt("alice", 2), Attempt("alice", 2)]
 
 
-def test_a_program_that_is_missing_costs_no_attempt(entrance: Entrance, tmp_path: Path) -> None:
-    done = run(tmp_path, "glue-agent", "--season", "season.toml", "./jumper")
-    assert (done.returncode, "there is no program './jumper' here" in done.stderr) == (2, True)
-    done = run(tmp_path, "glue-agent", "--season", "season.toml", "my.py:Agent")
-    assert (done.returncode, "glue-agent my.py:Agent --season" in done.stderr) == (2, True)
-    assert not entrance.asked
-
-
-def test_what_has_no_season_is_not_served(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("command", "status", "why"),
+    [
+        ("glue-agent --season season.toml ./jumper", 2, "there is no program './jumper' here"),
+        ("glue-agent --season season.toml my.py:Agent", 2, "glue-agent my.py:Agent --season"),
+        ("glue-compete join http://x --dir b --name Müller", 2, "cannot be a name"),
+        ("glue-compete serve file.toml --out run", 2, "file.toml has no table [season]"),
+        ("glue-compete submit agent.tar", 1, "not as docker save writes it"),
+        ("glue-compete submit my-agent", 2, "there is no file my-agent, and no docker here"),
+    ],
+)
+def test_a_mistake_costs_no_attempt(
+    entrance: Entrance, tmp_path: Path, command: str, status: int, why: str
+) -> None:
     text = FILE.partition("[season]")[0] + "tasks.a = { env = 'mines', steps = 9 }\n"
     (tmp_path / "file.toml").write_text(text + "entrants.a = { command = ['true'] }\n")
-    done = run(tmp_path, "glue-compete", "serve", "file.toml", "--out", "run", SECRET="nobody knows")
-    assert (done.returncode, "file.toml has no table [season]" in done.stderr) == (2, True)
+    (tmp_path / "agent.tar").write_bytes(b"no image" * 100)
+    done = run(tmp_path, *command.split(), status=status, SECRET="nobody knows", PATH="/nowhere")
+    assert why in done.stderr
     assert not (tmp_path / "run").exists()
+    assert not entrance.asked
 
 
 def test_an_attempt_is_withdrawn(entrance: Entrance, tmp_path: Path) -> None:
     entrance.replies = [{}]
-    done = run(tmp_path, "glue-compete", "withdraw", "3")
-    assert done.returncode == 0, done.stderr
+    run(tmp_path, "glue-compete", "withdraw", "3")
     assert entrance.asked == [Withdraw("alice", 3)]
-
-
-def test_what_is_handed_in_has_to_be_an_image(entrance: Entrance, tmp_path: Path) -> None:
-    (tmp_path / "agent.tar").write_bytes(b"no image" * 100)
-    done = run(tmp_path, "glue-compete", "submit", "agent.tar")
-    assert (done.returncode, "not as docker save writes it" in done.stderr) == (1, True)
-    done = run(tmp_path, "glue-compete", "submit", "my-agent", PATH="/nowhere")
-    assert (done.returncode, "there is no file my-agent, and no docker here" in done.stderr) == (2, True)
-    assert not entrance.asked
 
 
 @pytest.mark.slow
 def test_an_agent_is_tried_at_home(entrance: Entrance, tmp_path: Path) -> None:
     done = run(tmp_path, "glue-compete", "try", "random")
-    assert done.returncode == 0, done.stderr
     assert "mines, trial 1 of 1: score -" in done.stderr
     assert "time bank down to 60.00 of 60 s" in done.stderr
     (tmp_path / "bad.py").write_text(
         "class Bad:\n    def agent_start(self, observation): raise ValueError('no')\n"
     )
-    done = run(tmp_path, "glue-compete", "try", "bad.py:Bad")
-    assert done.returncode == 1
+    run(tmp_path, "glue-compete", "try", "bad.py:Bad", status=1)
     assert not entrance.asked

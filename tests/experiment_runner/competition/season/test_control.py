@@ -66,6 +66,7 @@ def test_a_request_has_one_reply(door: Path) -> None:
     late = {"ok": False, "error": "come again", "retry_after": 7.0}
     assert ask(door, {"do": "attempt", "entrant": "late"}) == late
     assert ask(door, {"do": "attempt", "entrant": "alice"}) == {"ok": False, "error": "no Attempt"}
+    assert (door / CONTROL).stat().st_mode & 0o777 == 0o600  # it is its owner's alone
 
 
 @pytest.mark.parametrize(
@@ -82,10 +83,6 @@ def test_what_is_no_request_is_refused(door: Path, request_: Any, why: str) -> N
     reply = ask(door, request_)
     assert not reply["ok"]
     assert why in reply["error"]
-
-
-def test_only_its_owner_may_use_it(door: Path) -> None:
-    assert (door / CONTROL).stat().st_mode & 0o777 == 0o600
 
 
 def test_a_flood_and_a_silent_client_delay_nobody(door: Path) -> None:

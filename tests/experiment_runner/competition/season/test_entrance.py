@@ -19,28 +19,17 @@ pytest.importorskip("uvicorn", reason="needs the extra web")
 
 from starlette.requests import Request
 
-from experiment_runner.competition.season.control import Attempt, TryLater, Withdraw
+from experiment_runner.competition.season.control import Attempt, TryLater
 from experiment_runner.competition.season.entrance import Denied, Rate, address_of
 from experiment_runner.competition.season.trying import competition_of
 from glue.client.libzmq import new_pair
-from glue.client.season import PREFIX, Page, Season, SeasonBusy, SeasonRefused, join
+from glue.client.season import PREFIX, Page, SeasonBusy, SeasonRefused, join
 from glue.errors import ExperimentError
 from glue.keys.certificates import encode, write_pair
-from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance_at
+from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance, entrance_at, shared
 from tests.system.runs import wait_until
 
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Entrance]:
-    with entrance_at(tmp_path_factory.mktemp("season") / "run") as entrance:
-        yield entrance
-
-
-@pytest.fixture
-def entrance(shared: Entrance) -> Entrance:
-    shared.replies.clear()
-    shared.asked.clear()
-    return shared
+__all__ = ["entrance", "shared"]
 
 
 def test_a_reply_with_which_nobody_can_play_is_refused(entrance: Entrance, tmp_path: Path) -> None:
@@ -54,20 +43,9 @@ def test_a_reply_with_which_nobody_can_play_is_refused(entrance: Entrance, tmp_p
 
 def test_nobody_joins_with_the_key_of_another(entrance: Entrance) -> None:
     body = f'{{"name": "alice", "key": "{encode(new_pair().public)}"}}'.encode()
-    status, _, answer = entrance.ask(body, what="join")
-    assert (status, "not signed with the key" in answer["error"]) == (403, True)
-    body = b'{"name": "x", "key": "y"}'
-    status, _, answer = entrance.ask(body, what="join")
-    assert (status, "not a public key" in answer["error"]) == (400, True)
+    entrance.refuses(403, "not signed with the key", body, what="join")
+    entrance.refuses(400, "not a public key", b'{"name": "x", "key": "y"}', what="join")
     assert not entrance.asked
-
-
-def test_an_entrant_is_who_has_signed(entrance: Entrance, tmp_path: Path) -> None:
-    season = Season(entrance.membership(tmp_path))
-    entrance.replies = [{"state": "waiting", "attempt": 3, "place": 2}, {}]
-    assert season.ask("attempt", {"attempt": 0}) == {"state": "waiting", "attempt": 3, "place": 2}
-    assert season.ask("withdraw", {"attempt": 2}) == {}
-    assert entrance.asked == [Attempt("alice"), Withdraw("alice", 2)]
 
 
 def test_strangers_and_posers_do_not_reach_the_server(entrance: Entrance) -> None:
@@ -80,16 +58,15 @@ def test_strangers_and_posers_do_not_reach_the_server(entrance: Entrance) -> Non
         entrance.headers(pair=new_pair()),
         entrance.headers(what="withdraw"),
     ):
-        assert entrance.ask(headers=headers)[0] == 403, headers
+        assert entrance.ask(headers=headers).status == 403, headers
     assert not entrance.asked
 
 
 def test_a_request_that_was_overheard_cannot_be_sent_again(entrance: Entrance) -> None:
     entrance.replies = [{"state": "waiting", "attempt": 1}]
     headers = entrance.headers()
-    assert entrance.ask(headers=headers)[0] == 200
-    status, _, answer = entrance.ask(headers=headers)
-    assert (status, "has come before" in answer["error"]) == (403, True)
+    assert entrance.ask(headers=headers).status == 200
+    entrance.refuses(403, "has come before", headers=headers)
     assert len(entrance.asked) == 1
 
 
@@ -105,37 +82,35 @@ def test_a_request_that_was_overheard_cannot_be_sent_again(entrance: Entrance) -
     ],
 )
 def test_a_body_is_a_small_json_object(entrance: Entrance, body: bytes, status: int) -> None:
-    assert entrance.ask(body)[0] == status
+    assert entrance.ask(body).status == status
     assert not entrance.asked
 
 
 def test_nobody_asks_for_another_or_for_something_else(entrance: Entrance) -> None:
     body = b'{"do": "withdraw", "entrant": "bob", "attempt": 2}'
     entrance.replies = [{}]
-    assert entrance.ask(body)[0] == 200
+    assert entrance.ask(body).status == 200
     assert entrance.asked == [Attempt("alice", 2)]
 
 
 def test_a_body_is_the_one_that_was_signed(entrance: Entrance) -> None:
-    status, _, answer = entrance.ask(b'{"attempt": 1}', entrance.headers())
-    assert (status, "not the one that was signed" in answer["error"]) == (400, True)
+    entrance.refuses(400, "not the one that was signed", b'{"attempt": 1}', headers=entrance.headers())
 
 
-def test_what_the_server_says_reaches_its_entrant(entrance: Entrance, tmp_path: Path) -> None:
-    season = Season(entrance.membership(tmp_path))
+def test_what_the_server_says_reaches_its_entrant(entrance: Entrance) -> None:
     entrance.replies = [ExperimentError("all 5 attempts of today are used"), TryLater("one waits", 7.2)]
     with pytest.raises(SeasonRefused, match="all 5 attempts"):
-        season.ask("attempt", {})
+        entrance.season.ask("attempt")
     with pytest.raises(SeasonBusy, match="one waits") as caught:
-        season.ask("attempt", {})
+        entrance.season.ask("attempt")
     assert caught.value.seconds == 8
 
 
 def test_without_a_server_one_is_asked_to_come_again(tmp_path: Path) -> None:
     with entrance_at(tmp_path / "run", server=False) as entrance:
-        status, found, answer = entrance.ask()
-    assert (status, found["retry-after"]) == (503, "10")
-    assert "not running" in answer["error"]
+        answer = entrance.ask()
+    assert (answer.status, answer.headers["retry-after"]) == (503, "10")
+    assert "not running" in answer.json()["error"]
 
 
 def test_the_tasks_are_told_without_what_is_hidden(entrance: Entrance) -> None:
@@ -217,15 +192,14 @@ def test_what_was_signed_for_an_earlier_start_of_the_page_is_to_be_signed_anew(
     """The earlier page may have had the request, whatever the clock of its sender says."""
     with entrance_at(tmp_path / "run") as entrance:
         entrance.replies = [{"state": "waiting", "attempt": 1}]
-        season = Season(entrance.membership(tmp_path))
+        season = entrance.season
         overheard = entrance.headers(now=time.time() + fast)
-        assert entrance.ask(headers=overheard)[0] == 200
+        assert entrance.ask(headers=overheard).status == 200
         entrance.replies = [{"state": "waiting", "attempt": 1}]
         season.ask("attempt")
         entrance.asked.clear()
         entrance.start()
-        status, _, body = entrance.ask(headers=overheard)
-        assert (status, "sign it anew" in body["error"]) == (409, True)
+        entrance.refuses(409, "sign it anew", headers=overheard)
         assert not entrance.asked
         entrance.replies = [{"state": "waiting", "attempt": 2}]
         assert season.ask("attempt")["attempt"] == 2
@@ -235,7 +209,7 @@ def test_a_machine_that_cannot_keep_an_image_says_so(tmp_path: Path, monkeypatch
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=2))
     with entrance_at(tmp_path / "run") as entrance:
         with pytest.raises(SeasonBusy, match="cannot keep the image: No space left") as caught:
-            Season(entrance.membership(tmp_path)).submit(io.BytesIO(b"x"))
+            entrance.season.submit(io.BytesIO(b"x"))
         assert caught.value.seconds == 600
 
 
@@ -243,16 +217,15 @@ def test_an_upload_that_stops_half_way_leaves_nothing_and_is_one_at_a_time(tmp_p
     with entrance_at(tmp_path / "run") as entrance:
         with begun(entrance, 100_000, b"x" * 50_000, "PUT", "image"):
             wait_until(lambda: len(left(entrance)) == 1, "the upload")
-            season = Season(entrance.membership(tmp_path))
             with pytest.raises(SeasonBusy, match="another image"):
-                season.submit(io.BytesIO(b"x"))
+                entrance.season.submit(io.BytesIO(b"x"))
         wait_until(lambda: not left(entrance), "its end")
         assert not entrance.asked
 
 
-def test_an_upload_that_is_too_large_is_refused_before_it_comes(entrance: Entrance, tmp_path: Path) -> None:
+def test_an_upload_that_is_too_large_is_refused_before_it_comes(entrance: Entrance) -> None:
     with pytest.raises(SeasonRefused, match=r"has 2\.0 MiB, and 1 MiB are allowed"):
-        Season(entrance.membership(tmp_path)).submit(io.BytesIO(bytes(2**21)))
+        entrance.season.submit(io.BytesIO(bytes(2**21)))
     assert not left(entrance)
 
 
@@ -261,14 +234,14 @@ def test_a_season_may_take_no_images(tmp_path: Path) -> None:
         entrance_at(tmp_path / "run", FILE.replace("images = true", "images = false")) as entrance,
         pytest.raises(SeasonRefused, match="takes no images"),
     ):
-        Season(entrance.membership(tmp_path)).submit(io.BytesIO(b"x"))
+        entrance.season.submit(io.BytesIO(b"x"))
 
 
 def test_an_entrant_that_asks_too_often_has_to_wait(tmp_path: Path) -> None:
     began = time.time()
     with entrance_at(tmp_path / "run", now=lambda: began) as entrance:
         entrance.replies = [{"state": "waiting", "attempt": 1}] * 30
-        season = Season(entrance.membership(tmp_path))
+        season = entrance.season
         for _ in range(30):
             season.ask("attempt", {})
         with pytest.raises(SeasonBusy, match="too many requests"):

@@ -24,13 +24,9 @@ closes = 2026-12-20T18:00:00Z
 zone = "Europe/Berlin"
 code_file = "code.txt"
 most_bytes = "512m"
-[tasks.easy]
-env = "mines"
-steps = 20
-phase = "proving"
-[tasks.final]
-env = "mines"
-steps = 20
+[tasks]
+easy = { env = "mines", steps = 20, phase = "proving" }
+final = { env = "mines", steps = 20 }
 """
 
 
@@ -57,9 +53,9 @@ def test_a_season_is_read() -> None:
         ('code_file = "code.txt"\n', "", 2, "name the code"),
         ('code_file = "code.txt"', 'code_file = "c"\ncode_env = "C"', 2, "name the code"),
         ('"512m"', '"lots"', 7, "most_bytes is a number of bytes"),
-        ('phase = "proving"', "", 8, "a season needs a task"),
-        ('phase = "proving"', 'phase = "proving"\nhidden = true', 8, "a season needs a task"),
-        ("[tasks.final]", "[tasks.final]\nhidden = true", 13, "scores are hidden anyway"),
+        (', phase = "proving"', "", 8, "a season needs a task"),
+        ('"proving"', '"proving", hidden = true', 8, "a season needs a task"),
+        ("final = { ", "final = { hidden = true, ", 10, "scores are hidden anyway"),
     ],
 )
 def test_a_mistake_has_its_line(old: str, new: str, line: int, why: str) -> None:

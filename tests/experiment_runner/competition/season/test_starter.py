@@ -52,5 +52,4 @@ def test_the_agent_in_python_plays(tmp_path: Path) -> None:
 
     write_starter("python", tmp_path / "new")
     arguments = ("--env", "mines", "--agent", "agent.py:MyAgent", "--episodes", "2", "--out", "run")
-    done = forked.run("glue-experiment", *arguments, "--in-process", cwd=tmp_path / "new")
-    assert done.returncode == 0, done.stderr
+    forked.run("glue-experiment", *arguments, "--in-process", cwd=tmp_path / "new", status=0)

@@ -34,9 +34,6 @@ return axe.run(document, { resultTypes: ["violations"] }).then((found) => found.
 """
 _Found = TypeVar("_Found")
 
-needs_axe = pytest.mark.skipif(not _AXE.is_file(), reason="needs axe-core: AXE_CORE=.../axe.min.js")
-"""Skips a test that calls `Browser.faults` where axe-core is missing."""
-
 
 def needed() -> None:
     """Skip the tests of a module on a machine without a browser."""
@@ -130,7 +127,11 @@ class Browser:
         return bytes(self.driver.get_screenshot_as_png())
 
     def faults(self, *impacts: str) -> list[str]:
-        """Return what axe-core finds wrong with the page, of some impacts or of all."""
+        """Return what axe-core finds wrong with the page, of some impacts or of all; skip what is left of a
+        test where axe-core is missing.
+        """
+        if not _AXE.is_file():
+            pytest.skip("needs axe-core: AXE_CORE=.../axe.min.js")
         self.run(_AXE.read_text("utf-8"))
         return list(self.run(_FAULTS, impacts))
 
@@ -138,19 +139,13 @@ class Browser:
         """Return the errors in the browser's console since the last call."""
         return [line["message"] for line in self.driver.get_log("browser") if line["level"] == "SEVERE"]
 
-    def asked(self) -> list[str]:
-        """Return the URLs requested since the last call, from the browser's own log."""
-        messages = [json.loads(line["message"])["message"] for line in self.driver.get_log("performance")]
-        return [
-            str(one["params"]["request"]["url"])
-            for one in messages
-            if one["method"] == "Network.requestWillBeSent"
-        ]
-
     def foreign(self) -> list[str]:
-        """Return the URLs of other hosts that were requested since the last call."""
+        """Return the URLs of other hosts in the browser's own log of requests since the last call."""
         ours = (f"http://127.0.0.1:{self._page.port}/", "data:", "blob:", "about:")
-        return [url for url in self.asked() if not url.startswith(ours)]
+        found = [json.loads(line["message"])["message"] for line in self.driver.get_log("performance")]
+        sent = [one["params"] for one in found if one["method"] == "Network.requestWillBeSent"]
+        urls = [str(one["request"]["url"]) for one in sent]
+        return [url for url in urls if not url.startswith(ours)]
 
     def _devtools(self, command: str, **arguments: object) -> None:
         self.driver.execute_cdp_cmd(command, arguments)

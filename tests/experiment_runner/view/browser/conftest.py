@@ -12,8 +12,16 @@ from tests.experiment_runner.view.pages import Page, glue_view
 
 
 @pytest.fixture(scope="module")
+def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the runs of a module, which its function `fill` makes."""
+    folder = tmp_path_factory.mktemp("runs")
+    request.module.fill(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
 def page(folder: Path) -> Iterator[Page]:
-    """The server for the runs in the module's own fixture `folder`."""
+    """The server for the runs in the folder."""
     with glue_view(folder) as page:
         yield page
 

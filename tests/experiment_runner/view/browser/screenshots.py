@@ -41,24 +41,15 @@ _TOURNAMENT: Final = f"""\
 name = "Spring tournament"
 trials = 2
 seed_file = "secret.txt"
-[tasks.proving]
-env = "mario"
-options = {{ mdp = "proving-1" }}
-steps = 400
-[tasks.unseen]
-env = "mario"
-options = {{ level_difficulty = 0 }}
-steps = 400
-[entrants.runner]
-command = ["{BIN}/glue-agent", "run-right"]
-[entrants.sample]
-command = ["{BIN}/glue-agent", "sample"]
-[entrants.learner]
-command = ["{BIN}/glue-agent", "hierarchical"]
-[entrants.random]
-command = ["{BIN}/glue-agent", "random"]
-[entrants.absent]
-command = ["false"]
+[tasks]
+proving = {{ env = "mario", options.mdp = "proving-1", steps = 400 }}
+unseen = {{ env = "mario", options.level_difficulty = 0, steps = 400 }}
+[entrants]
+runner.command = ["{BIN}/glue-agent", "run-right"]
+sample.command = ["{BIN}/glue-agent", "sample"]
+learner.command = ["{BIN}/glue-agent", "hierarchical"]
+random.command = ["{BIN}/glue-agent", "random"]
+absent.command = ["false"]
 """
 
 
@@ -89,8 +80,7 @@ def _make(top: Path) -> None:
         ("glue-compete", "run", "spring.toml", "--out", "runs/spring", "--workers", "2"),
         ("glue-compete", "verify", "runs/spring"),
     ):
-        done = run(*command, cwd=top, timeout=600)
-        assert done.returncode == 0, done.stderr
+        run(*command, cwd=top, timeout=600, status=0)
 
 
 @contextmanager

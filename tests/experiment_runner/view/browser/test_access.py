@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.experiment_runner.competition.contest import compete, write
-from tests.experiment_runner.view.browser.chromium import Browser, needed, needs_axe
+from tests.experiment_runner.view.browser.chromium import Browser, needed
 from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_curves import store_run
@@ -16,25 +16,20 @@ from tests.forked import run
 
 needed()
 
-SERIOUS = ("serious", "critical")
 TAB, ENTER = "\ue004", "\ue007"
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("runs")
+def fill(folder: Path) -> None:
     store_run(folder / "done")
     make_run(folder / "interrupted").close()
     (folder / "damaged").mkdir()
     (folder / "damaged" / "results.sqlite").write_bytes(b"SQLite format 3\0" + b"\xff" * 5000)
     write(folder)
-    assert compete(folder, "run", "spring.toml", "--out", "held").returncode == 0
-    assert compete(folder, "verify", "held").returncode == 0
+    compete(folder, "run", "spring.toml", "--out", "held")
+    compete(folder, "verify", "held")
     recorded = ("--env", "mines", "--agent", "random", "--episodes", "1", "--out", "played")
     asked = ("--record", "played/run.traj", "--ask", "values")
-    done = run("glue-experiment", *recorded, *asked, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder
+    run("glue-experiment", *recorded, *asked, cwd=folder, status=0)
 
 
 VIEWS = {
@@ -56,36 +51,31 @@ def open_view(browser: Browser, page: Page, view: str) -> None:
     browser.shows(VIEWS[view])
 
 
-@needs_axe
-@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+def has_no_serious_faults(browser: Browser) -> None:
+    for is_dark in (False, True):
+        browser.set_dark(is_dark)
+        assert browser.faults("serious", "critical") == [], f"dark: {is_dark}"
+
+
 @pytest.mark.parametrize("view", VIEWS)
-def test_axe_finds_nothing_serious(browser: Browser, page: Page, view: str, is_dark: bool) -> None:
-    browser.set_dark(is_dark)
+def test_a_phone_is_wide_enough_and_axe_finds_nothing_serious(
+    browser: Browser, page: Page, view: str
+) -> None:
+    browser.set_size(360, 740)
     open_view(browser, page, view)
+    widths = browser.run("return [document.documentElement.scrollWidth, innerWidth]")
+    browser.set_size(1200, 800)
+    assert widths == [360, 360]
     for summary in browser.driver.find_elements("css selector", "main details:not([open]) > summary"):
         summary.click()
-    assert browser.faults(*SERIOUS) == []
+    has_no_serious_faults(browser)
 
 
-@needs_axe
 def test_axe_finds_nothing_serious_in_a_live_game(browser: Browser, page: Page, folder: Path) -> None:
     with playing("--out", "live", "--ask", "values", cwd=folder):
         browser.go(f"game/{started(page, page.stream('topic=runs'))}")
         browser.find("[data-answer]")
-        for is_dark in (False, True):
-            browser.set_dark(is_dark)
-            assert browser.faults(*SERIOUS) == []
-
-
-@pytest.mark.parametrize("view", VIEWS)
-def test_a_phone_is_wide_enough(browser: Browser, page: Page, view: str) -> None:
-    browser.set_size(360, 740)
-    open_view(browser, page, view)
-    try:
-        widths = browser.run("return [document.documentElement.scrollWidth, innerWidth]")
-        assert widths == [360, 360]
-    finally:
-        browser.set_size(1200, 800)
+        has_no_serious_faults(browser)
 
 
 def test_the_keyboard_leads_everywhere_in_the_order_of_the_page(browser: Browser, page: Page) -> None:

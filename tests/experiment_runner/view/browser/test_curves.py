@@ -19,13 +19,10 @@ needed()
 OTHER = '=cmd|"quoted", and a comma'
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("runs")
+def fill(folder: Path) -> None:
     store_run(folder / "one")
     store_run(folder / "other", OTHER, -RETURNS)
     store_metrics(folder / "metrics")
-    return folder
 
 
 @pytest.fixture(scope="module")

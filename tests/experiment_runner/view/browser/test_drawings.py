@@ -28,8 +28,6 @@ class Lamp:
     def env_step(self, action):
         self.steps += 1
         return 1.0, Observation(ints=[40 * self.steps]), self.steps == 5
-    def env_cleanup(self): pass
-    def env_message(self, message): return ""
 
 def fail():
     raise ValueError("no such file")

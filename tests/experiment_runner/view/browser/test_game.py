@@ -50,9 +50,7 @@ def play(
     writer.cutoff()
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("runs")
+def fill(folder: Path) -> None:
     for name in ("mario", "planned", "toys"):
         make_run(folder / name).close()
     with TrajectoryWriter(folder / "mario/run.traj") as writer:
@@ -79,7 +77,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 writer.start(Observation([4, 5], [1 / 3], b"<i>"))
             else:
                 writer.step(Action([1], [0.5]), 2.0, Observation([7, 5], [-1e300], b"\x00ab"), step == 3)
-    return folder
 
 
 @pytest.fixture(scope="module")

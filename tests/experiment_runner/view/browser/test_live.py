@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,19 +14,6 @@ from tests.system.runs import start
 needed()
 
 PLAYERS = ("--env", "skeleton", "--agent", "skeleton", "--episodes", "300000", "--in-process")
-_GAPS = """
-return new Promise((done) => {
-  const gaps = [];
-  let before = performance.now();
-  function frame(now) {
-    gaps.push(now - before);
-    before = now;
-    if (gaps.length < 40) requestAnimationFrame(frame);
-    else done(Math.max(...gaps));
-  }
-  requestAnimationFrame(frame);
-});
-"""
 
 
 @pytest.fixture
@@ -54,8 +40,6 @@ def test_a_run_is_killed_and_goes_on_while_the_page_stays_open(
             browser.find("td input").click()
             browser.find("a.button").click()
             browser.shows("running mean of 100 episodes")
-            # Drawing is smooth while numbers arrive; the median, as the machine may be busy.
-            assert statistics.median(browser.run(_GAPS) for _ in range(5)) < 200
             before = browser.tables()["Results, by setting"]
             browser.wait(lambda: browser.tables()["Results, by setting"] != before, "more episodes")
         finally:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
 from experiment_runner.analysis.settings import collect
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
@@ -21,11 +19,8 @@ from tests.experiment_runner.view.test_curves import NAME, store_run
 needed()
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("runs")
+def fill(folder: Path) -> None:
     store_run(folder / "named")
-    return folder
 
 
 def test_a_run_shows_the_numbers_of_the_store(browser: Browser, page: Page, folder: Path) -> None:

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import functools
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import timedelta
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from urllib.parse import quote
 
 import pytest
+from starlette.staticfiles import StaticFiles
 
 from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.season.control import Attempt
-from tests.experiment_runner.competition.season.inside import SECRET, Raising, Season
-from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed, needs_axe
-from tests.experiment_runner.view.pages import Page, shown_by
-from tests.experiment_runner.view.season.test_page import FILE
+from tests.experiment_runner.competition.season.inside import SECRET, Season
+from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.pages import Page, in_thread, shown_by
+from tests.experiment_runner.view.season.test_page import MOLE, OTTER, Shown
 
 needed()
 
 SIZES = {"phone": (360, 780), "projector": (1920, 1080)}
 
-OTTER, MOLE, VOLE = (pseudonym(name, SECRET, ()) for name in ("alice", "bob", "carol"))
+VOLE = pseudonym("carol", SECRET, ())
 ADDRESS = quote(OTTER)
 
 VIEWS = {
@@ -40,13 +36,12 @@ VIEWS = {
 
 @pytest.fixture(scope="module")
 def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Season]:
-    season = Season(tmp_path_factory.mktemp("spring"), FILE)
+    """Like that of the page's tests, with a second attempt of alice's and one who is excluded."""
+    season = Shown(tmp_path_factory.mktemp("spring")).held
     with season.stack:
-        season.enrol("alice", "bob", "carol")
-        season.executor.agents["bob"] = Raising()
-        for name in ("alice", "bob", "alice"):
-            season.attempt(name)
-            season.today += timedelta(minutes=1)
+        season.enrol("carol")
+        season.today += timedelta(minutes=1)
+        season.attempt("alice")
         season.act("exclude", "carol")
         season.act("pause")
         season.ask(Attempt("alice"))
@@ -54,14 +49,9 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Season]:
 
 
 @pytest.fixture(scope="module")
-def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("published")
-
-
-@pytest.fixture(scope="module")
-def page(held: Season, published: Path) -> Iterator[Page]:
-    command = ("glue-compete", "page", str(held.directory), "--page", "127.0.0.1:0")
-    with shown_by(*command, "--publish", str(published), cwd=held.directory.parent) as page:
+def page(held: Season) -> Iterator[Page]:
+    command = ("glue-compete", "page", "run", "--page", "127.0.0.1:0", "--publish", "public")
+    with shown_by(*command, cwd=held.folder) as page:
         yield page
 
 
@@ -75,24 +65,14 @@ def browser(page: Page) -> Iterator[Browser]:
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("view", VIEWS)
-def test_every_view_fits_the_window(browser: Browser, view: str, size: str) -> None:
-    width, height = SIZES[size]
-    browser.set_size(width, height)
-    browser.go(view)
-    browser.shows(VIEWS[view])
-    assert browser.run("return document.documentElement.scrollWidth") <= width
-
-
-@needs_axe
-@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("view", VIEWS)
-def test_axe_finds_nothing(browser: Browser, view: str, size: str, is_dark: bool) -> None:
+def test_every_view_fits_the_window_and_axe_finds_nothing(browser: Browser, view: str, size: str) -> None:
     browser.set_size(*SIZES[size])
-    browser.set_dark(is_dark)
     browser.go(view)
     browser.shows(VIEWS[view])
-    assert browser.faults() == []
+    assert browser.run("return document.documentElement.scrollWidth") <= SIZES[size][0]
+    for is_dark in (False, True):
+        browser.set_dark(is_dark)
+        assert browser.faults() == [], f"dark: {is_dark}"
 
 
 def test_the_board_shows_places_queue_and_what_the_organiser_did(browser: Browser) -> None:
@@ -139,32 +119,16 @@ def test_the_organiser_sees_names_hidden_tasks_and_reasons(page: Page, browser: 
     browser.shows(MOLE)
 
 
-def test_the_published_page_is_the_same_without_replays(browser: Browser, published: Path) -> None:
+def test_the_published_page_is_the_same_without_replays(browser: Browser, held: Season) -> None:
     browser.go("board")
     places = browser.has_table("Places")
     assert [line for line in browser.errors() if "/entrants/nobody.json" not in line] == []
     assert browser.foreign() == []
-    with _web_server(published) as address:
-        browser.driver.get(address)
+    with in_thread(lambda port: StaticFiles(directory=held.folder / "public", html=True), ws="none") as port:
+        browser.driver.get(f"http://127.0.0.1:{port}/")
         assert browser.has_table("Places") == places
         browser.find(f"a[href='#/entrant/{ADDRESS}']").click()
         browser.has_table("Attempts")
         assert "Replay of" not in browser.text()
         assert browser.errors() == []
-    assert "alice" not in "".join(path.read_text("utf-8") for path in published.rglob("*.json"))
-
-
-class _Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, format: str, *arguments: object) -> None:
-        pass
-
-
-@contextmanager
-def _web_server(folder: Path) -> Iterator[str]:
-    handler = functools.partial(_Quiet, directory=str(folder))
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        try:
-            yield f"http://127.0.0.1:{server.server_port}/"
-        finally:
-            server.shutdown()
+    assert "alice" not in "".join(path.read_text("utf-8") for path in held.folder.glob("public/**/*.json"))

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import json
 import os
-import struct
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,8 +15,8 @@ from env_server.render.artwork import TILES
 from env_server.render.drawing import drawn, sprite
 from experiment_runner.view import episodes
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
-from glue.types import Action, Observation, body_size
-from tests.experiment_runner.view.pages import Answer, Inside
+from glue.types import Action, Observation
+from tests.experiment_runner.view.pages import Answer, Inside, unpacked
 from tests.experiment_runner.view.test_stream import make_run
 from tests.forked import run
 
@@ -80,8 +78,7 @@ def test_an_episode_is_sent_byte_for_byte(shown: Shown) -> None:
     record(shown.folder / "run.traj", 1, 4)
     answer = shown.episode(2)
     assert answer.status == 200
-    (size,) = struct.unpack_from("<I", answer.body)
-    about, body = json.loads(answer.body[4 : 4 + size]), answer.body[4 + size :]
+    about, steps = unpacked(answer.body)
     assert (about["episode"], about["steps"], about["ending"]) == (2, 4, "cutoff")
     assert about["spec"]["extra"] == "<script>alert(1)</script>"
     assert about["spec"]["observation"] == {
@@ -90,16 +87,8 @@ def test_an_episode_is_sent_byte_for_byte(shown: Shown) -> None:
         "chars": 3,
     }
     _, episode = TrajectoryReader(shown.folder / "run.traj")
-    expected = [(0.0, Action(), episode.start)]
-    expected += [(step.reward, step.action, step.observation) for step in episode.steps]
-    for reward, action, seen in expected:
-        assert struct.unpack_from("<d", body) == (reward,)
-        middle = 8 + body_size(body, 8)
-        end = middle + body_size(body, middle)
-        assert Action.from_body(body[8:middle]) == action
-        assert Observation.from_body(body[middle:end]) == seen
-        body = body[end:]
-    assert body == b""
+    expected = [(step.reward, step.action, step.observation) for step in episode.steps]
+    assert steps == [(0.0, Action(), episode.start), *expected]
 
 
 def test_several_recordings_are_told_apart_and_the_first_has_the_short_names(shown: Shown) -> None:

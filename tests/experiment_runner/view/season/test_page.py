@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,20 +15,13 @@ from experiment_runner.view.season.page import season_page
 from experiment_runner.view.season.views import Views, organisers_token
 from tests.experiment_runner.competition.season import inside
 from tests.experiment_runner.competition.season.inside import SECRET, Raising, Season
-from tests.experiment_runner.view.pages import Answer, asked
+from tests.experiment_runner.view.pages import Answer, asked, unpacked
 
 PORT = 8097
 FILE = (
     inside.FILE.replace("steps = 20", "episodes = 2, max_steps = 30")
-    + """\
-[tasks.deep]
-env = "mines"
-options = { random_start = true }
-episodes = 1
-max_steps = 20
-phase = "proving"
-hidden = true
-"""
+    + 'deep = { env = "mines", options.random_start = true, episodes = 1, max_steps = 20, '
+    + 'phase = "proving", hidden = true }\n'
 )
 OTTER, MOLE = (pseudonym(name, SECRET, ()) for name in ("alice", "bob"))
 NAMES = ("season.json", f"entrants/{OTTER}.json", "feed.xml", f"replays/{OTTER}/1.json")
@@ -43,9 +34,8 @@ class Shown:
         self.held = Season(folder, FILE)
         self.directory = self.held.directory
         self.token, _ = self.held.enrol("alice", "bob")
-        self.held.executor.agents["bob"] = Raising()
-        for name in ("alice", "bob"):
-            self.held.attempt(name)
+        self.held.attempt("alice")
+        self.held.attempt("bob", Raising())
         self.organiser = organisers_token(self.directory)
         self.start()
 
@@ -151,9 +141,7 @@ def test_a_verified_attempt_is_replayed_but_for_its_hidden_tasks(season: Shown) 
         ("mines", 0, 2),
         ("mines", 1, 2),
     ]
-    content = season.ask(f"/replays/{OTTER}/1/mines/1/2").body
-    (size,) = struct.unpack_from("<I", content)
-    about = json.loads(content[4 : 4 + size])
+    about, _ = unpacked(season.ask(f"/replays/{OTTER}/1/mines/1/2").body)
     assert about["steps"] == trials[1]["episodes"][1][0]
     assert about["recording"] == f"{OTTER}, attempt 1: mines, trial 1"  # nobody's own name
     for path in (

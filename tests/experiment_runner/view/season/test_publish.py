@@ -83,8 +83,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(season: Season) -> None:
     ],
 )
 def test_a_mistake_is_one_line(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
-    done = run("glue-compete", "page", str(tmp_path), *arguments, cwd=tmp_path)
-    assert done.returncode == 2 if arguments else 1
+    done = run("glue-compete", "page", str(tmp_path), *arguments, cwd=tmp_path, status=2 if arguments else 1)
     assert words in done.stderr
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []

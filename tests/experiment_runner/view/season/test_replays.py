@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import struct
 from pathlib import Path
 
 import pytest
@@ -19,7 +17,8 @@ from experiment_runner.view.season.replays import replayed
 from experiment_runner.view.stream import Reader
 from glue.errors import ExperimentError
 from glue.trajectory import ActionWriter, Ending
-from glue.types import Action, body_size, step_of
+from glue.types import Action, step_of
+from tests.experiment_runner.view.pages import unpacked
 
 SPEC = TrialSpec(
     id=TrialId.of("alice", "mines", 0),
@@ -54,22 +53,11 @@ def record(path: Path) -> list[list[bytes]]:
     return seen
 
 
-def observations(content: bytes) -> tuple[dict[str, object], list[bytes]]:
-    """Return the header of a packed episode, and the bodies of its observations."""
-    (size,) = struct.unpack_from("<I", content)
-    at, bodies = 4 + size, []
-    while at < len(content):
-        middle = at + 8 + body_size(content, at + 8)
-        at = middle + body_size(content, middle)
-        bodies.append(content[middle:at])
-    return json.loads(content[4 : 4 + size]), bodies
-
-
 def test_an_episode_is_shown_as_it_was_played(tmp_path: Path) -> None:
     seen = record(tmp_path / "0.traj")
     for episode, bodies in enumerate(seen, 1):
-        about, found = observations(replayed("a record", SPEC, tmp_path / "0.traj", episode))
-        assert found == bodies
+        about, found = unpacked(replayed("a record", SPEC, tmp_path / "0.traj", episode))
+        assert [seen.body for _, _, seen in found] == bodies
         assert about["recording"] == "a record"
         assert about["steps"] == len(bodies) - 1
     with pytest.raises(HTTPException, match="no episode 4"):

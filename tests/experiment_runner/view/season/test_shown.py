@@ -53,11 +53,7 @@ def test_a_board_is_shown_in_its_own_order_with_nothing_that_json_cannot_express
     [
         ({}, PUBLIC, "open until 2026-12-20 00:00 UTC"),
         ({"phase": "before"}, PUBLIC, "opens at 2026-12-01 00:00 UTC"),
-        (
-            {"frozen": BOARD.times[0]},
-            PUBLIC,
-            "as it was at 2026-12-01 09:06 UTC: the board is frozen",
-        ),
+        ({"frozen": BOARD.times[0]}, PUBLIC, "as it was at 2026-12-01 09:06 UTC: the board is frozen"),
         ({"frozen": BOARD.times[0]}, ORGANISER, "frozen for others since 2026-12-01 09:06 UTC"),
         ({"paused": "a power cut"}, PUBLIC, "paused: a power cut"),
         ({"phase": "closed"}, PUBLIC, "closed"),
