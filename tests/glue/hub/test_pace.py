@@ -8,7 +8,7 @@ from glue.hub.config import HubConfig, TimeLimits
 from glue.pace import Pace
 from glue.types import Action, Observation
 from glue.wire.messages import ErrorCode, Event, Kind, Message, Role
-from tests.glue.hub.test_sessions import Rig, error, notices
+from tests.glue.hub.test_sessions import Rig, check_error, error, notices
 from tests.hubs import over_the_hub
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.weighing import check_sessions
@@ -38,8 +38,7 @@ def begun(
     """
     rig: Rig = Rig(HubConfig(heartbeat=1.0, timeout=5.0, time=time, pace=pace))
     rig.fill(agent=abilities, experiment=experiment)
-    rig.ask(Kind.RL_INIT, 1, None)
-    rig.serve()
+    rig.carry_out(Kind.RL_INIT, 1, None)
     rig.ask(Kind.RL_EPISODE, 2, 0)
     rig.answer("e")
     rig.wait(3.0)
@@ -211,7 +210,7 @@ def test_a_late_agent_has_its_time_limit_all_the_same() -> None:
         rig.wait(0.5)
         rig.sessions.tick(rig.now)
     assert number == 5  # one second is free, the bank has three, and the start has taken two of them
-    assert "a ran out of time" in error(failure)[1]
+    check_error(failure, ErrorCode.PEER_FAILED, "a ran out of time")
 
 
 def test_a_late_agent_is_reported_as_slow() -> None:
@@ -229,8 +228,7 @@ def test_a_message_between_two_steps_waits_for_the_agent() -> None:
     # in an episode made step by step
     step(rig, 1, terminal=True)
     rig.answer("a")
-    rig.ask(Kind.RL_START, 3)
-    rig.serve()
+    rig.carry_out(Kind.RL_START, 3)
     rig.received("x")
     rig.ask(Kind.RL_STEP, 4)
     step(rig, 1)
@@ -257,8 +255,7 @@ def test_a_batch_has_no_pace() -> None:
     rig.fill(agent=("batch",), environment=("batch",))
     rig.ask(Kind.RL_INIT, 1, None)
     rig.answer("e")
-    code, text = error(rig.received("x"))
-    assert (code, "no rate and no delay" in text) == (ErrorCode.UNSUPPORTED, True)
+    check_error(rig.received("x"), ErrorCode.UNSUPPORTED, "no rate and no delay")
 
 
 @pytest.mark.parametrize(("pace", "late"), [(Pace(delay=1), 0), (Pace(), None)])
