@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Any
 
 import numpy as np
 import pytest
@@ -105,12 +104,6 @@ def test_task_spec_of_a_batch_holds_that_of_each_game() -> None:
             read_batch_task_spec(wrong)
 
 
-class CuttingEnvironment(ScriptedEnvironment):
-    def env_step(self, action: Action) -> Any:
-        reward, observation, terminal = super().env_step(action)
-        return Step(reward, observation, terminal, terminal)
-
-
 class Vector(ActingInAll):
     """Records each batch, and answers observation n with the action n + 100 in every game."""
 
@@ -126,7 +119,8 @@ class Vector(ActingInAll):
 
 @pytest.mark.parametrize("glue", [local, over_the_hub])
 def test_games_begin_anew_inside_the_batch(glue: Glue) -> None:
-    games = [ScriptedEnvironment(length=2, reward=1.0), CuttingEnvironment(length=3, reward=0.5)]
+    games = [ScriptedEnvironment(length=2, reward=1.0), ScriptedEnvironment(length=3, reward=0.5)]
+    games[1].cuts = True
     agent = Vector()
     with glue(agent, BatchedEnvironments(games)) as experiment:
         experiment.rl_init(1)
