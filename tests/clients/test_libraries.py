@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -74,15 +73,9 @@ class Unknown(SkeletonEnvironment):
 
 def test_experiment_that_fails_ends(language: Language) -> None:
     with hub_with(Unknown()) as url:
-        done = subprocess.run(
-            [*language.programs["mirror"], "experiment"],
-            env={**os.environ, "GLUE_HUB": url},
-            capture_output=True,
-            text=True,
-            timeout=SECONDS,
-        )
+        mirror = [*language.programs["mirror"], "experiment"]
+        done = run(mirror, language.folder, SECONDS, status=1, GLUE_HUB=url)
 
-    assert done.returncode != 0
     assert "the mirror was ordered to do dance" in done.stdout + done.stderr
 
 
@@ -138,10 +131,7 @@ def walks(start: Sequence[str]) -> None:
     """Check that an agent walks to the end, reports a refusal, and passes the kit, SHOULDs included."""
     with hub_with() as url, program(start, url), connect(url) as glue:
         glue.rl_agent_message("are you there?")
-        second = subprocess.run(
-            start, env={**os.environ, "GLUE_HUB": url}, capture_output=True, text=True, timeout=SECONDS
-        )
-        assert second.returncode == 1
+        second = run(start, Path.cwd(), SECONDS, status=1, GLUE_HUB=url)
         assert "already has an agent" in second.stdout + second.stderr
     kit = judged("agent", "--transport", "tcp", "--wait", "20", "--", *start)
     assert "should" not in {line.partition(" ")[0] for line in kit.stdout.splitlines()}, kit.stdout

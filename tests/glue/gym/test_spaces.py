@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,8 @@ from glue.gym.spaces import (  # noqa: E402
     read_spaces,
     task_spec,
 )
+
+pytestmark = pytest.mark.filterwarnings("ignore")
 
 SHAPES = st.lists(st.integers(0, 3), max_size=3).map(tuple)
 INTEGERS = st.sampled_from([np.int8, np.int16, np.int32, np.int64, np.uint16])
@@ -60,13 +61,6 @@ SPACES = st.recursive(
     ),
     max_leaves=6,
 )
-
-
-@pytest.fixture(autouse=True)
-def _quiet() -> Any:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 @settings(max_examples=60)
