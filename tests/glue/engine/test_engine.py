@@ -59,6 +59,13 @@ def initialised(seed: int | None = None) -> Engine:
     return engine
 
 
+def asked_for_a_step() -> Engine:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    engine.begin(Kind.RL_STEP)
+    return engine
+
+
 def play(length: int = 3, reward: float = 1.0) -> tuple[LocalExperiment, list[str]]:
     """Return an experiment in one process, and the list that records the calls of both players."""
     calls: list[str] = []
@@ -198,9 +205,7 @@ def test_an_answer_to_nothing_is_an_error() -> None:
 
 
 def test_after_an_abort_the_next_verb_begins_afresh() -> None:
-    engine = initialised()
-    drive(engine, Kind.RL_START)
-    engine.begin(Kind.RL_STEP)
+    engine = asked_for_a_step()
     engine.abort()
     assert (engine.awaiting, engine.verb, engine.asked) == (None, None, None)
     assert drive(engine, Kind.RL_STEP)[0] == ["ENV_STEP", "AGENT_STEP"]
@@ -282,18 +287,14 @@ def test_an_episode_of_half_steps_counts_like_any_other() -> None:
 
 
 def test_an_end_that_the_agent_did_not_live_to_hear_is_not_counted() -> None:
-    engine = initialised()
-    drive(engine, Kind.RL_START)
-    engine.begin(Kind.RL_STEP)
+    engine = asked_for_a_step()
     assert engine.resume(Kind.ENV_STEP, ENDS, "o").kind is Kind.AGENT_END
     engine.abort()
     assert engine.num_episodes == 0
 
 
 def test_an_agent_that_is_lost_at_the_cut_off_leaves_no_episode_behind() -> None:
-    engine = initialised()
-    drive(engine, Kind.RL_START)
-    engine.begin(Kind.RL_STEP)
+    engine = asked_for_a_step()
     assert engine.resume(Kind.ENV_STEP, (1.0, CUT_OFF), "o").kind is Kind.AGENT_STEP
     assert not engine.in_episode
 

@@ -54,6 +54,13 @@ def step(rig: Rig, number: int, terminal: bool = False) -> bytes:
     return call.body
 
 
+def asked(*abilities: str) -> tuple[Rig, Message]:
+    """Return a rig whose agent has been asked for an action after the first step, and this call."""
+    rig = begun(Pace(rate=10.0), *abilities)
+    step(rig, 1)
+    return rig, rig.called("a")
+
+
 def test_an_action_that_comes_in_time_is_carried_out_when_its_step_is_due() -> None:
     rig = begun(Pace(rate=10.0))
     assert step(rig, 1) == action(100)
@@ -68,9 +75,7 @@ def test_an_action_that_comes_in_time_is_carried_out_when_its_step_is_due() -> N
 
 
 def test_a_late_agents_call_stays_outstanding_and_its_answer_is_carried_out_next() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    first = rig.called("a")
+    rig, first = asked()
     for number in (2, 3, 4):
         rig.wait(0.1)
         assert step(rig, number) == action(100)
@@ -114,9 +119,7 @@ def test_a_welcome_confirms_the_pace_to_experiments_where_there_is_one() -> None
 
 
 def test_an_episode_that_ends_while_the_agent_is_late_waits_for_its_answer() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    late = rig.called("a")
+    rig, late = asked()
     rig.wait(0.1)
     step(rig, 2, terminal=True)
     assert calls(rig, "a") == calls(rig, "x") == []
@@ -128,9 +131,7 @@ def test_an_episode_that_ends_while_the_agent_is_late_waits_for_its_answer() -> 
 
 
 def test_an_agent_with_the_capability_is_told_its_deadline_and_latency() -> None:
-    rig = begun(Pace(rate=10.0), "pace")
-    step(rig, 1)
-    call = rig.called("a")
+    rig, call = asked("pace")
     assert list(call.scalars) == pytest.approx([1.0, 0.1, 3.0])
     rig.wait(0.05)
     rig.put("a", call.kind, call.seq, body=action(101))
@@ -141,9 +142,7 @@ def test_an_agent_with_the_capability_is_told_its_deadline_and_latency() -> None
 
 
 def test_an_agent_that_returns_is_sent_its_outstanding_call_again() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    call = rig.called("a")
+    rig, call = asked()
     rig.cut("a")
     for number in (2, 3):
         rig.wait(0.1)
@@ -170,9 +169,7 @@ def test_an_agent_that_is_lost_voids_the_episode_and_another_takes_its_place() -
 
 
 def test_an_environment_that_is_lost_ends_the_agents_call_too() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    late = rig.called("a")
+    rig, late = asked()
     rig.wait(0.1)
     rig.lose("e")
     rig.received("x")
@@ -185,18 +182,14 @@ def test_an_environment_that_is_lost_ends_the_agents_call_too() -> None:
 
 
 def test_an_answer_to_another_call_is_refused() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    call = rig.called("a")
+    rig, call = asked()
     (refusal,) = rig.say("a", Kind.AGENT_END, call.seq)
     assert refusal.scalars == ("not-asked", "AGENT_END was answered; AGENT_STEP was asked")
     assert error(rig.received("x"))[0] == ErrorCode.PEER_FAILED
 
 
 def test_an_agent_that_raises_fails_the_verb() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    call = rig.called("a")
+    rig, call = asked()
     rig.put("a", Kind.ERROR, call.seq, "exception", "no idea")
     assert error(rig.received("x")) == (ErrorCode.PEER_FAILED, "agent a raised in agent_step: no idea")
 
