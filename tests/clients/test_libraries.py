@@ -16,17 +16,7 @@ import pytest
 from env_server.toys import SkeletonEnvironment
 from glue import Action, Observation, Step, connect
 from glue.wire.messages import THREE_ROLES, Role
-from tests.clients.languages import (
-    CLIENTS,
-    CPP,
-    JAVASCRIPT,
-    LANGUAGES,
-    OWN,
-    RUST,
-    Language,
-    own_program,
-    run,
-)
+from tests.clients.languages import CLIENTS, CPP, JAVASCRIPT, LANGUAGES, OWN, RUST, Language, own_program, run
 from tests.clients.table import SECONDS, program
 from tests.hubs import hub_with
 from tests.pages import DOCS, blocks
@@ -72,11 +62,12 @@ class Unknown(SkeletonEnvironment):
 
 
 def test_experiment_that_fails_ends(language: Language) -> None:
-    with hub_with(Unknown()) as url:
-        mirror = [*language.programs["mirror"], "experiment"]
-        done = run(mirror, language.folder, SECONDS, status=1, GLUE_HUB=url)
-
-    assert "the mirror was ordered to do dance" in done.stdout + done.stderr
+    mirror = [*language.programs["mirror"], "experiment"]
+    with (
+        hub_with(Unknown()) as url,
+        pytest.raises(AssertionError, match="the mirror was ordered to do dance"),
+    ):
+        run(mirror, language.folder, SECONDS, GLUE_HUB=url)
 
 
 def judged(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -25,11 +25,11 @@ def test_every_combination_of_languages_plays_the_same_episodes() -> None:
         with ExitStack() as stack:
             url = stack.enter_context(hub_with())
             for environment in ALL:
-                session = f"{agent.name} and {environment.name}"
+                session = f"{agent.name}-{environment.name}"
                 stack.enter_context(program(agent.programs["random"], url, session))
                 stack.enter_context(program(environment.programs["skeleton"], url, session))
             for environment in ALL:
-                session = f"{agent.name} and {environment.name}"
+                session = f"{agent.name}-{environment.name}"
                 with connect(url, session, wait=SECONDS) as glue:
                     glue.rl_init(SEED)
                     assert outcomes(glue, EPISODES, 1000) == right, session

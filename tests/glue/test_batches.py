@@ -31,6 +31,7 @@ from glue.plugins.batched import BatchedEnvironments
 from glue.roles import capabilities
 from glue.system.spinning import LONG_SPIN_SECONDS, SPIN_SECONDS
 from glue.types import Step
+from tests.glue.engine.test_local import Countdown
 from tests.hubs import over_the_hub
 from tests.pages import DOCS, blocks, section
 from tests.players import ActingInAll, ScriptedAgent, ScriptedEnvironment
@@ -210,24 +211,11 @@ def test_games_of_a_batch_are_checked_as_single_ones_are() -> None:
     batch.env_start()
     with pytest.raises(PeerFailed, match="game 1: env_step of Blurred"):
         batch.env_step(pack_actions(Ragged.of([Action([1])] * 2)))
-    plain = BatchedEnvironments([Bare()])
+    plain = BatchedEnvironments([Countdown(None)])
     plain.env_init()
     plain.env_start()
     assert plain.env_message("?") == ""
     plain.env_cleanup()
-
-
-class Bare:
-    """An environment with the required methods only."""
-
-    def env_init(self) -> str:
-        return ""
-
-    def env_start(self) -> Observation:
-        return Observation()
-
-    def env_step(self, action: Action) -> Step:
-        return Step(0.0, Observation(), True)
 
 
 def test_games_of_a_batch_are_seeded_apart_and_play_as_alone() -> None:

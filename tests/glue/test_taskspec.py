@@ -66,10 +66,6 @@ def space_text(observations: str) -> str:
     )
 
 
-def read_space(observations: str) -> Space:
-    return parse_task_spec(space_text(observations)).observations
-
-
 some = settings(max_examples=size(20, 1000))
 
 # Strategies
@@ -109,19 +105,15 @@ spaces = spaces_of(st.integers(0, 3_000_000))
 small_spaces = spaces_of(st.integers(0, 40))
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=100)
 discounts = st.floats(0, 1)
-public_specs = st.builds(
-    TaskSpec, st.just(RL_GLUE_3), problems, discounts, spaces, spaces, double_ranges, texts
-)
-mario_specs = st.builds(
-    TaskSpec,
-    st.just(MARIO),
-    problems,
-    discounts,
-    st.just(Space(stated=False)) | spaces,
-    spaces,
-    double_ranges,
-    texts,
-)
+
+
+def specs_of(version: str, observations: st.SearchStrategy[Space]) -> st.SearchStrategy[TaskSpec]:
+    known = st.just(version)
+    return st.builds(TaskSpec, known, problems, discounts, observations, spaces, double_ranges, texts)
+
+
+public_specs = specs_of(RL_GLUE_3, spaces)
+mario_specs = specs_of(MARIO, st.just(Space(stated=False)) | spaces)
 private_specs = st.builds(
     TaskSpec.private, words.filter(lambda word: "problemtype" not in word.lower()), texts
 )
@@ -435,7 +427,8 @@ def test_check_names_the_first_number_out_of_its_range(space: Space, data: st.Da
 
 @pytest.mark.parametrize("count", [3, 300])
 def test_check_gives_number_and_range(count: int) -> None:
-    space = read_space(f"INTS ({count} 0 4) DOUBLES ({count} NEGINF 1.5) CHARCOUNT 2")
+    text = space_text(f"INTS ({count} 0 4) DOUBLES ({count} NEGINF 1.5) CHARCOUNT 2")
+    space = parse_task_spec(text).observations
     ints, doubles = np.full(count, 4), np.full(count, 1.5)
     assert space.check(Observation(ints, doubles, b"ab")) is None
     assert space.check(Observation(ints, doubles, b"abc")) == "chars: 2 expected, 3 received"

@@ -657,13 +657,8 @@ def test_late_steps_are_marked_without_observations(tmp_path: Path, late: list[i
 
 @pytest.mark.parametrize("records", [b"LC", b"LL" + b"C", b"LV", b"L"])
 def test_a_mark_without_a_step_is_refused(tmp_path: Path, records: bytes) -> None:
-    record(tmp_path / "right.traj", 1)
-    right = gzip.decompress((tmp_path / "right.traj").read_bytes())[len(MAGIC) :]
-    run = right[: right.index(b"O\x02\x00\x00\x00")]
-    start = b"O" + observation(0).body
-
     with pytest.raises(TrajectoryError, match=r"where a step is to follow|ends inside a record"):
-        read(write_stream(tmp_path / "wrong.traj", run, start, records))
+        read(write_stream(tmp_path / "wrong.traj", run_record(), b"O" + EMPTY, records))
 
 
 # The comparison that replays of all recordings share

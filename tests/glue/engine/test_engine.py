@@ -14,18 +14,12 @@ from glue.wire.messages import CALLS, Kind, Role
 from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent, SeededEnvironment
 
 ANSWERS: dict[Kind, tuple[tuple[Any, ...], Any]] = {
-    Kind.ENV_SEED: ((), None),
     Kind.ENV_INIT: ((), "spec"),
     Kind.ENV_START: ((), "o0"),
     Kind.ENV_STEP: ((1.0, False), "o"),
-    Kind.ENV_CLEANUP: ((), None),
     Kind.ENV_MESSAGE: ((), "env answer"),
-    Kind.AGENT_SEED: ((), None),
-    Kind.AGENT_INIT: ((), None),
     Kind.AGENT_START: ((), "a0"),
     Kind.AGENT_STEP: ((), "a"),
-    Kind.AGENT_END: ((), None),
-    Kind.AGENT_CLEANUP: ((), None),
     Kind.AGENT_MESSAGE: ((), "agent answer"),
 }
 """Answers of players whose episodes never end; bodies are names, since the engine never reads them."""
@@ -41,7 +35,7 @@ def go_on(
     made = []
     while engine.awaiting is not None:
         made.append(step.kind.name)
-        scalars, body = ANSWERS[step.kind]
+        scalars, body = ANSWERS.get(step.kind, ((), None))
         step = engine.resume(step.kind, env_step if step.kind is Kind.ENV_STEP else scalars, body)
     return made, step
 

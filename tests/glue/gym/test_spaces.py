@@ -14,11 +14,7 @@ from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation
 
 spaces: Any = pytest.importorskip("gymnasium.spaces", reason="needs Gymnasium: the extra gym")
-from glue.gym.spaces import (  # noqa: E402
-    Codec,
-    read_spaces,
-    task_spec,
-)
+from glue.gym.spaces import Codec, read_spaces, task_spec  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 

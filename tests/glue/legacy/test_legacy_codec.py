@@ -12,16 +12,7 @@ from hypothesis import strategies as st
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.legacy.bodies import MAX_COUNT, MAX_STRING
-from glue.legacy.codec import (
-    FROM,
-    HANDSHAKE,
-    SURPLUS,
-    TO,
-    Decoder,
-    Frame,
-    Vocabulary,
-    encode,
-)
+from glue.legacy.codec import FROM, HANDSHAKE, SURPLUS, TO, Decoder, Frame, Vocabulary, encode
 from glue.types import Action, Observation
 from glue.wire.messages import Body, Kind, Role
 from tests.memory import taking_less_than
