@@ -23,17 +23,15 @@ def answering(player: type[Any], method: str, answer: object) -> Any:
     return type("Wrong", (player,), {method: lambda *_: answer})()
 
 
+TALK = Action([1, 2], [0.5], b"ab")
+
+
 @pytest.mark.parametrize(
     ("player", "method", "answer", "words"),
     [
         (RandomAgent, "agent_start", Action([0, 1]), "1 int, .* returned 2 ints$"),
         (RandomAgent, "agent_step", Action([0, 1]), "1 int, .* returned 2 ints$"),
-        (
-            RandomAgent,
-            "agent_step",
-            Action([1, 2], [0.5], b"ab"),
-            "1 int, .* 2 ints, 1 double, 2 chars$",
-        ),
+        (RandomAgent, "agent_step", TALK, "1 int, .* returned 2 ints, 1 double, 2 chars$"),
         (MinesEnvironment, "env_start", Observation([], [0.5]), "1 int, .* returned 1 double$"),
         (MinesEnvironment, "env_step", Step(0.0, Observation([], [0.5]), False), "1 int, .* 1 double$"),
     ],
