@@ -23,13 +23,19 @@ _STEPS = 4000
 _WARM_UP = 12_000
 """Steps before the first measurement: a client is slow until V8 has compiled it, after some 8,000."""
 _LATER = 50_000
-_PROGRAMS = str(_ROOT / "tests" / "clients" / "python_programs.py")
+_AGENT = "from tests.clients.random_agent import RandomAgent; glue.serve_agent(RandomAgent())"
+_ENVIRONMENT = (
+    "from env_server.toys import SkeletonEnvironment; glue.serve_environment(SkeletonEnvironment())"
+)
 _JAVA_PATH = f"{_CLIENTS / 'java/build/glue-rl.jar'}:{_CLIENTS / 'java/build/examples'}"
 _JAVA = ("java", "-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1", "-cp", _JAVA_PATH)
 """With the flags of clients/java/README.md: without them the compiler is busier than the agent."""
 
 _LANGUAGES: dict[str, dict[str, Sequence[str]]] = {
-    "Python": {each: (sys.executable, _PROGRAMS, each) for each in ("random", "skeleton")},
+    "Python": {
+        "random": (sys.executable, "-c", f"import glue; {_AGENT}"),
+        "skeleton": (sys.executable, "-c", f"import glue; {_ENVIRONMENT}"),
+    },
     "C++": {each: (str(_CLIENTS / "cpp/build" / each),) for each in ("random", "skeleton")},
     "Java": {"random": (*_JAVA, "RandomAgent"), "skeleton": (*_JAVA, "Skeleton")},
     "JavaScript": {

@@ -7,9 +7,10 @@ import zlib
 from collections.abc import Callable
 
 from glue.batches import read_batch_task_spec
+from glue.engine.experiment import Experiment
 from glue.plugins.loading import names
 from glue.roles import Agent, Environment
-from glue.types import Action, Observation
+from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
 
 WITH_EXTRAS = ("chat", "mcp", "sb3", "soar")
@@ -23,16 +24,38 @@ def installed(role: Role) -> list[str]:
     return [name for name in names(role) if not name.startswith(WITH_EXTRAS)]
 
 
+def outcomes(glue: Experiment, episodes: int, max_steps: int = 0) -> list[tuple[float, int]]:
+    """Play episodes; return the return and the number of steps of each."""
+    found = []
+    for _ in range(episodes):
+        glue.rl_episode(max_steps)
+        found.append((glue.rl_return(), glue.rl_num_steps()))
+    return found
+
+
 def nothing(call: str) -> None:
     """Do nothing."""
+
+
+def failing(at: str, error: BaseException) -> Hook:
+    """Return a hook that raises `error` at a call."""
+
+    def fail(call: str) -> None:
+        if call.startswith(at):
+            raise error
+
+    return fail
 
 
 class ScriptedEnvironment(Environment):
     """Shows the number of steps, rewards each step with `reward`, and ends at step `length`.
 
+    While `cuts` is set, episodes do not end there but are cut off.
     `calls` receives one line per call; the agent may share the list, which then shows the order of all
     calls. `before` is called with each line first, so that a test can act at that point.
     """
+
+    cuts = False
 
     def __init__(
         self, length: int = 3, reward: float = 1.0, calls: list[str] | None = None, before: Hook = nothing
@@ -57,10 +80,11 @@ class ScriptedEnvironment(Environment):
         self._steps = 0
         return Observation(ints=[0])
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> tuple[float, Observation, bool] | Step:
         self._note(f"env_step {action.ints.tolist()}")
         self._steps += 1
-        return self.reward, Observation(ints=[self._steps]), self._steps >= self.length
+        step = self.reward, Observation(ints=[self._steps]), self._steps >= self.length
+        return Step(*step, truncated=step[2]) if self.cuts else step
 
     def env_cleanup(self) -> None:
         self._note("env_cleanup")

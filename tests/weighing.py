@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterable
 from enum import Enum
 from types import GeneratorType, MethodType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from glue.hub.channel import Memory
 from glue.hub.config import Bind, HubConfig, Keys
@@ -36,20 +36,6 @@ _HOLDERS: Final = (Session, channels._SocketChannel, LegacyPeer)
 
 _SPARE: Final = 131_072
 """Bytes by which an account may exceed the truth, besides the allowances: a read that is half worked off."""
-
-
-class Weight(NamedTuple):
-    """The bytes that a holder of memory uses: by the hub's account, and by the sizes of its objects."""
-
-    account: int
-    truth: int
-
-
-def weigh(hub: Hub) -> Weight:
-    """Return the hub's account of its memory, and what everything that holds memory weighs together."""
-    sessions = hub.sessions
-    peers = [peer for joined in sessions._joined.values() for peer in joined.values()]
-    return Weight(sessions.memory.total, size_of([*_holders(sessions, hub._channels._open), *peers]))
 
 
 def check(hub: Hub) -> None:

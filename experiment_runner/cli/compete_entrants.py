@@ -42,7 +42,7 @@ _SEASON: Final = click.option(
 )
 def join(address: str, name: str, code: str, team: str, directory: Path) -> None:
     """Enrol in the season whose page is at ADDRESS: make your keys, and write season.toml."""
-    from experiment_runner.competition.settings import NAMES, is_name
+    from experiment_runner.competition.records.record import NAMES, is_name
     from glue.client.libzmq import new_pair
     from glue.client.season import SEASON_FILE, Page
     from glue.client.season import join as enrol

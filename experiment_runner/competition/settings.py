@@ -13,6 +13,7 @@ from zoneinfo import ZoneInfo
 import msgspec
 from msgspec import Meta
 
+from experiment_runner.competition.records.record import NAMES, is_name
 from experiment_runner.plan.toml import SettingError, converted, is_option, naming_lines, parse, read, shown
 from glue.errors import ConfigError, ExperimentError
 from glue.hub.config import TimeLimits
@@ -20,10 +21,6 @@ from glue.pace import REPEAT, Pace
 from glue.plugins.loading import located
 
 _MEBIBYTE: Final = 2**20
-
-_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,63}")
-NAMES: Final = "up to 64 letters, digits and _ . + - are allowed, and the first is a letter, a digit or _"
-"""The names that are allowed, for messages."""
 
 _SIZE: Final = re.compile(r"(\d{1,12})([kmg]?)")
 _UNITS: Final = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30}
@@ -305,11 +302,6 @@ def changed(season: Season, name: str, value: str) -> Season:
         return replace(season, **{name: msgspec.json.decode(value, type=hints[name])})
     except (KeyError, ValueError, RecursionError):
         raise ExperimentError(f"a season cannot have {name:.80} = {value:.80}") from None
-
-
-def is_name(text: str) -> bool:
-    """Return whether a task or an entrant can have this name; see `NAMES`."""
-    return _NAME.fullmatch(text) is not None
 
 
 def _tables(document: Mapping[str, Any], kind: str) -> list[tuple[str, Any]]:

@@ -11,7 +11,8 @@ from typing import Final, Literal
 
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act
-from experiment_runner.competition.settings import Season, changed, is_name
+from experiment_runner.competition.records.record import is_name
+from experiment_runner.competition.settings import Season, changed
 from experiment_runner.plan.limits import TrialId
 from glue.errors import ExperimentError
 

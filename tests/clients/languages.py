@@ -55,13 +55,13 @@ class Language:
 
 
 def run(
-    command: Sequence[str], cwd: Path, seconds: float = _BUILD_SECONDS, **environment: str
+    command: Sequence[str], cwd: Path, seconds: float = _BUILD_SECONDS, status: int = 0, **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run a command, which must succeed."""
+    """Run a command, which must end with this status."""
     done = subprocess.run(
         command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, timeout=seconds
     )
-    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
+    assert done.returncode == status, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
     return done
 
 
@@ -110,10 +110,19 @@ CPP: Final = Language(
     {each: (_in_folder("cpp", "build", each),) for each in _EXAMPLES},
 )
 
-_PEER: Final = (sys.executable, str(Path(__file__).with_name("python_programs.py")))
+_BIN: Final = Path(sys.executable).parent
 
-PYTHON: Final = Language("python", {}, (), (), {each: (*_PEER, each) for each in _EXAMPLES[:3]})
-"""Our own library, for comparison."""
+PYTHON: Final = Language(
+    "python",
+    {},
+    (),
+    (),
+    {
+        "random": (str(_BIN / "glue-agent"), f"{Path(__file__).with_name('random_agent.py')}:RandomAgent"),
+        "skeleton": (str(_BIN / "glue-env"), "skeleton"),
+    },
+)
+"""Players of our own library, for comparison."""
 
 LANGUAGES: Final = (JAVASCRIPT, CPP, JAVA, RUST)
 

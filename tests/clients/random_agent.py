@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
-
 from glue.roles import Agent
-from glue.taskspec import legal_values
+from glue.taskspec import legal_values, mask_sizes, parse_task_spec
 from glue.types import Action, Observation
 
 
@@ -25,17 +23,6 @@ class Generator:
         return (self._state >> 16) % n
 
 
-def bounds_of(task_spec: str) -> list[tuple[int, int]]:
-    """Return the bounds of each int of an action: `ACTIONS INTS (-1 1) (2 0 1)` are three."""
-    actions = re.search(r"\bACTIONS\s+INTS((?:\s*\([^)]*\))*)", task_spec)
-    assert actions is not None
-    return [
-        (int(low), int(high))
-        for count, low, high in re.findall(r"\(\s*(?:(\d+)\s+)?(-?\d+)\s+(-?\d+)\s*\)", actions[1])
-        for _ in range(int(count or 1))
-    ]
-
-
 class RandomAgent(Agent):
     """Acts at random within the bounds of the task spec, with a generator available to any language."""
 
@@ -44,13 +31,12 @@ class RandomAgent(Agent):
 
     def __init__(self) -> None:
         self._generator = Generator(0)
-        self._bounds: list[tuple[int, int]] = []
 
     def agent_seed(self, seed: int) -> None:
         self._generator = Generator(seed)
 
     def agent_init(self, task_spec: str) -> None:
-        self._bounds = bounds_of(task_spec)
+        self._actions = parse_task_spec(task_spec).actions
 
     def agent_start(self, observation: Observation) -> Action:
         return self._act(observation)
@@ -59,7 +45,7 @@ class RandomAgent(Agent):
         return self._act(observation)
 
     def _act(self, observation: Observation) -> Action:
-        legal = legal_values(observation, tuple(high - low + 1 for low, high in self._bounds))
-        values = [flags.nonzero()[0] for flags in legal]
-        bounds = zip(self._bounds, values, strict=True)
-        return Action([low + int(each[self._generator.draw(len(each))]) for (low, _), each in bounds])
+        values = [legal.nonzero()[0] for legal in legal_values(observation, mask_sizes(self._actions))]
+        lows = [int(bounds.ends[0]) for bounds in self._actions.ints]
+        drawn = (each[self._generator.draw(len(each))] for each in values)
+        return Action([low + int(value) for low, value in zip(lows, drawn, strict=True)])

@@ -12,6 +12,7 @@ from typing import IO, Final
 from env_server.toys import SkeletonEnvironment
 from glue.engine.local import local
 from tests.clients.random_agent import RandomAgent
+from tests.players import outcomes
 
 SECONDS: Final = 120.0
 """Timeout in seconds: longer than anything here takes, unless it hangs."""
@@ -45,9 +46,7 @@ def walked(episodes: int, seed: int) -> list[Episode]:
     """Return the episodes that the example experiment prints, played by our players."""
     glue = local(RandomAgent(), SkeletonEnvironment())
     glue.rl_init(seed)
-    return [
-        (glue.rl_return(), glue.rl_num_steps()) for _ in range(episodes) if glue.rl_episode(1000) is not None
-    ]
+    return outcomes(glue, episodes, 1000)
 
 
 def read_episodes(output: IO[str]) -> list[Episode]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -73,14 +72,7 @@ def test_all_roles_play_with_their_keys_and_go_on_when_connections_are_cut(keyed
 
 def refused(url: str, **variables: str) -> str:
     """Return the output of an agent that is refused."""
-    done = subprocess.run(
-        CPP.programs["random"],
-        env={**os.environ, "GLUE_HUB": url, **variables},
-        capture_output=True,
-        text=True,
-        timeout=SECONDS,
-    )
-    assert done.returncode == 1, done
+    done = run(CPP.programs["random"], CPP.folder, SECONDS, status=1, GLUE_HUB=url, **variables)
     return done.stdout + done.stderr
 
 
@@ -89,11 +81,8 @@ def test_a_program_built_without_keys_says_how_to_build_it_with_them(tmp_path: P
     agent = tmp_path / "agent"
     sources = CPP.folder / "examples" / "random.cpp"
     run(["g++", "-std=c++17", f"-I{CPP.folder / 'include'}", "-o", str(agent), str(sources)], tmp_path)
-    done = subprocess.run(
-        [str(agent)], env={**os.environ, "GLUE_KEY": "mine"}, capture_output=True, text=True, timeout=SECONDS
-    )
+    done = run([str(agent)], tmp_path, SECONDS, status=1, GLUE_KEY="mine")
 
-    assert done.returncode == 1
     assert "-DGLUE_RL_KEYS=1" in done.stderr
 
 

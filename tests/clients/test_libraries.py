@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -17,17 +16,7 @@ import pytest
 from env_server.toys import SkeletonEnvironment
 from glue import Action, Observation, Step, connect
 from glue.wire.messages import THREE_ROLES, Role
-from tests.clients.languages import (
-    CLIENTS,
-    CPP,
-    JAVASCRIPT,
-    LANGUAGES,
-    OWN,
-    RUST,
-    Language,
-    own_program,
-    run,
-)
+from tests.clients.languages import CLIENTS, CPP, JAVASCRIPT, LANGUAGES, OWN, RUST, Language, own_program, run
 from tests.clients.table import SECONDS, program
 from tests.hubs import hub_with
 from tests.pages import DOCS, blocks
@@ -73,17 +62,12 @@ class Unknown(SkeletonEnvironment):
 
 
 def test_experiment_that_fails_ends(language: Language) -> None:
-    with hub_with(Unknown()) as url:
-        done = subprocess.run(
-            [*language.programs["mirror"], "experiment"],
-            env={**os.environ, "GLUE_HUB": url},
-            capture_output=True,
-            text=True,
-            timeout=SECONDS,
-        )
-
-    assert done.returncode != 0
-    assert "the mirror was ordered to do dance" in done.stdout + done.stderr
+    mirror = [*language.programs["mirror"], "experiment"]
+    with (
+        hub_with(Unknown()) as url,
+        pytest.raises(AssertionError, match="the mirror was ordered to do dance"),
+    ):
+        run(mirror, language.folder, SECONDS, GLUE_HUB=url)
 
 
 def judged(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -138,10 +122,7 @@ def walks(start: Sequence[str]) -> None:
     """Check that an agent walks to the end, reports a refusal, and passes the kit, SHOULDs included."""
     with hub_with() as url, program(start, url), connect(url) as glue:
         glue.rl_agent_message("are you there?")
-        second = subprocess.run(
-            start, env={**os.environ, "GLUE_HUB": url}, capture_output=True, text=True, timeout=SECONDS
-        )
-        assert second.returncode == 1
+        second = run(start, Path.cwd(), SECONDS, status=1, GLUE_HUB=url)
         assert "already has an agent" in second.stdout + second.stderr
     kit = judged("agent", "--transport", "tcp", "--wait", "20", "--", *start)
     assert "should" not in {line.partition(" ")[0] for line in kit.stdout.splitlines()}, kit.stdout

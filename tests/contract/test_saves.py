@@ -18,14 +18,13 @@ from agents.mario.best import Archive
 from agents.sarsa import feature, table_of
 from env_server.mario import InfiniteMario
 from glue import saves
-from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import SaveError
 from glue.plugins.loading import find
 from glue.roles import SaveableAgent, SaveableEnvironment, offers
 from glue.saves import Saved, generator_array, pack, unpack
 from glue.wire.messages import Role
-from tests.players import installed
+from tests.players import installed, outcomes
 from tests.proof import size
 
 OLD: dict[str, dict[str, Any]] = json.loads(
@@ -55,8 +54,7 @@ def played(role: Role, name: str) -> tuple[Any, bytes]:
     players = make(Role.AGENT, agent), make(Role.ENVIRONMENT, environment)
     glue = local(*players)
     glue.rl_init(seed=7)
-    for _ in range(3):
-        glue.rl_episode(60)
+    outcomes(glue, 3, 60)
     player = players[role is not Role.AGENT]
     return player, save(role, player)
 
@@ -154,15 +152,7 @@ def test_saves_of_earlier_versions_are_continued_exactly(agent: str) -> None:
         glue.rl_init(seed=99)
         glue.rl_agent_load(base64.b64decode(old["agent_save"]))
         glue.rl_env_load(base64.b64decode(old["env_save"]))
-        assert episodes(glue) == [tuple(episode) for episode in old["episodes"]]
-
-
-def episodes(glue: Experiment) -> list[tuple[float, int]]:
-    outcomes = []
-    for _ in range(3):
-        glue.rl_episode(60)
-        outcomes.append((glue.rl_return(), glue.rl_num_steps()))
-    return outcomes
+        assert outcomes(glue, 3, 60) == [tuple(episode) for episode in old["episodes"]]
 
 
 def test_keys_that_collide_are_refused_long_before_they_take_time() -> None:

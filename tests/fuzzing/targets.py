@@ -6,6 +6,7 @@ import gzip
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -61,14 +62,12 @@ def wire(data: bytes) -> None:
     """Read ZMTP, at both ends of a connection."""
     for own in (zmtp.ROUTER, zmtp.DEALER):
         stream = Stream(own, _LIMIT, _LIMIT)
-        try:
+        with suppress(GlueError):
             for piece in (zmtp.GREETING, *_pieces(data)):
                 stream.receive_data(piece)
                 while (event := stream.next_event()) is not None:
                     assert isinstance(event, Message | bytes)
-        except GlueError:
-            continue
-        assert stream.buffered <= len(data) + len(zmtp.GREETING)
+            assert stream.buffered <= len(data) + len(zmtp.GREETING)
 
 
 def curve(data: bytes) -> None:
@@ -81,7 +80,7 @@ def curve(data: bytes) -> None:
     peer = Stream(zmtp.DEALER, _LIMIT, _LIMIT, CurveClient(public, secret, public))
     sent = [zmtp.CURVE_CLIENT_GREETING, zmtp.CURVE_GREETING]
     changes = list(data)
-    try:
+    with suppress(GlueError):
         for turn in range(8):
             said = bytearray(sent[turn % 2])
             sent[turn % 2] = b""
@@ -97,21 +96,17 @@ def curve(data: bytes) -> None:
             while (event := side.next_event()) is not None:
                 if isinstance(event, bytes):
                     sent[(turn + 1) % 2] += event
-    except GlueError:
-        return
 
 
 def legacy(data: bytes) -> None:
     """Read what an original RL-Glue program might send."""
     for vocabulary in (codec_of_originals.HANDSHAKE, *codec_of_originals.FROM.values()):
         decoder = codec_of_originals.Decoder(vocabulary)
-        try:
+        with suppress(GlueError):
             for piece in _pieces(data):
                 decoder.receive_data(piece)
                 while decoder.next_event() is not None:
                     pass
-        except GlueError:
-            continue
 
 
 def taskspec(data: bytes) -> None:
@@ -132,11 +127,9 @@ def recording(data: bytes) -> None:
     """Read a recording of episodes, compressed as the writer does or not at all."""
     file = _folder() / "recording"
     file.write_bytes(gzip.compress(data[1:], 1) if data[:1] != b"\x1f" else data)
-    try:
+    with suppress(GlueError):
         for _ in TrajectoryReader(file):
             pass
-    except GlueError:
-        return
 
 
 def results(data: bytes) -> None:
@@ -156,10 +149,8 @@ def results(data: bytes) -> None:
         place = int.from_bytes(data[at : at + 3], "little") % len(changed)
         changed[place] = data[at + 3]
     where.write_bytes(changed)
-    try:
+    with suppress(GlueError):
         load_run(where.parent)
-    except GlueError:
-        return
 
 
 @cache

@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +33,7 @@ from glue.roles import capabilities
 from glue.system.spinning import LONG_SPIN_SECONDS, SPIN_SECONDS
 from glue.types import Step
 from glue.wire.messages import Kind, Role
+from tests.glue.engine.test_local import Countdown
 from tests.hubs import over_the_hub, running
 from tests.pages import DOCS, blocks, section
 from tests.players import ActingInAll, ScriptedAgent, ScriptedEnvironment
@@ -108,12 +108,6 @@ def test_task_spec_of_a_batch_holds_that_of_each_game() -> None:
             read_batch_task_spec(wrong)
 
 
-class CuttingEnvironment(ScriptedEnvironment):
-    def env_step(self, action: Action) -> Any:
-        reward, observation, terminal = super().env_step(action)
-        return Step(reward, observation, terminal, terminal)
-
-
 class Vector(ActingInAll):
     """Records each batch, and answers observation n with the action n + 100 in every game."""
 
@@ -129,7 +123,8 @@ class Vector(ActingInAll):
 
 @pytest.mark.parametrize("glue", [local, over_the_hub])
 def test_games_begin_anew_inside_the_batch(glue: Glue) -> None:
-    games = [ScriptedEnvironment(length=2, reward=1.0), CuttingEnvironment(length=3, reward=0.5)]
+    games = [ScriptedEnvironment(length=2, reward=1.0), ScriptedEnvironment(length=3, reward=0.5)]
+    games[1].cuts = True
     agent = Vector()
     with glue(agent, BatchedEnvironments(games)) as experiment:
         experiment.rl_init(1)
@@ -233,24 +228,11 @@ def test_games_of_a_batch_are_checked_as_single_ones_are() -> None:
     batch.env_start()
     with pytest.raises(PeerFailed, match="game 1: env_step of Blurred"):
         batch.env_step(pack_actions(Ragged.of([Action([1])] * 2)))
-    plain = BatchedEnvironments([Bare()])
+    plain = BatchedEnvironments([Countdown(None)])
     plain.env_init()
     plain.env_start()
     assert plain.env_message("?") == ""
     plain.env_cleanup()
-
-
-class Bare:
-    """An environment with the required methods only."""
-
-    def env_init(self) -> str:
-        return ""
-
-    def env_start(self) -> Observation:
-        return Observation()
-
-    def env_step(self, action: Action) -> Step:
-        return Step(0.0, Observation(), True)
 
 
 def test_games_of_a_batch_are_seeded_apart_and_play_as_alone() -> None:

@@ -174,15 +174,6 @@ def test_long_bound_is_shown_in_full() -> None:
 def test_assignments_are_read_by_type() -> None:
     texts = ["length=30", "step_size=1e-3", "slip = 1", "name= a=b ", "torus=Yes", "seed=7", "limit=-5"]
     values = parse_assignments(Walk, texts)
-    assert values == {
-        "length": 30,
-        "step_size": 0.001,
-        "slip": 1.0,
-        "name": "a=b",
-        "torus": True,
-        "seed": 7,
-        "limit": -5.0,
-    }
     assert [type(value) for value in values.values()] == [int, float, float, str, bool, int, float]
     assert build(Walk, values).made_of == (30, 0.001, 1.0, "a=b", "middle", True, 7, -5.0)
 

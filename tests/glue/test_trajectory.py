@@ -7,8 +7,9 @@ import json
 import math
 import resource
 import struct
-import tracemalloc
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from glue.trajectory import (
 )
 from glue.trajectory.comparison import Outcomes, compare
 from glue.types import Action, Observation
+from tests.memory import taking_less_than
 from tests.pages import DOCS, blocks
 
 RUN = Run("corridor", {"length": 21, "slip": 0.25, "walls": True, "name": "a"}, "VERSION RL-Glue-3.0 ...", 7)
@@ -356,6 +358,14 @@ BROKEN = {
     "unknown kind": (run_record() + b"?", "a record b'[?]' where"),
     "unknown kind inside": (run_record() + b"O" + EMPTY + b"?", "b'[?]' inside an episode"),
     "run inside": (run_record() + b"O" + EMPTY + run_record(), "b'R' inside an episode"),
+    **{
+        f"mark before {after!r}": (
+            run_record() + b"O" + EMPTY + b"L" + after + bytes(60),
+            "step is to follow",
+        )
+        for after in (b"C", b"V", b"L")
+    },
+    "mark at the end": (run_record() + b"O" + EMPTY + b"L", "ends inside a record"),
     "ends in a record": (run_record() + b"O" + EMPTY[:-1], "ends inside a record"),
     "ends in an episode": (run_record() + b"O" + EMPTY, "ends inside a record"),
     "cut mask": (run_record() + b"O" + struct.pack("<4I", 0, 0, 0, 1), "ends inside a record"),
@@ -450,17 +460,13 @@ def test_declared_sizes_and_bombs_take_no_memory(tmp_path: Path, monkeypatch: py
     claim = run_record() + b"O" + struct.pack("<4I", 0, 0, limits.MAX_BODY - 16, 0)
     write_stream(tmp_path / "claim", claim, b"only this")
     write_stream(tmp_path / "messages", run_record(), text_record(b"M", "x" * 2**18) * 5)
-    tracemalloc.start()
-    try:
-        with pytest.raises(TrajectoryError, match="an episode of more than"):
-            read(tmp_path / "bomb")
-        with pytest.raises(TrajectoryError, match="ends inside a record"):
-            read(tmp_path / "claim")
-        with pytest.raises(TrajectoryError, match="messages or answers"):
-            read(tmp_path / "messages")
-        assert tracemalloc.get_traced_memory()[1] < 32 * 2**20
-    finally:
-        tracemalloc.stop()
+    for name, why in (
+        ("bomb", "an episode of more than"),
+        ("claim", "ends inside a record"),
+        ("messages", "messages or answers"),
+    ):
+        with taking_less_than(32 * 2**20), pytest.raises(TrajectoryError, match=why):
+            read(tmp_path / name)
 
 
 def test_programs_of_the_documentation_run(
@@ -472,14 +478,7 @@ def test_programs_of_the_documentation_run(
     names: dict[str, Any] = {}
     for program in programs:
         exec(compile(program, str(manual), "exec"), names)
-    with (tmp_path / "actions.traj").open("wb") as file:
-        writer = ActionWriter(file.write)
-        writer.run(RUN)
-        writer.start()
-        for number in (1, 2, 1):
-            writer.step(Action([number]).body, number / 2)
-        writer.end(Ending.TERMINAL)
-        writer.close()
+    written(tmp_path / "actions.traj", [([(Action([n]), n / 2) for n in (1, 2, 1)], Ending.TERMINAL)])
     *_, (_, steps), _ = records = list(names["read"]("actions.traj"))
     assert "".join(letter for letter, _ in records) == "GRBPE"
     assert steps == [(number / 2, ((), (number,), b"")) for number in (1, 2, 1)]
@@ -490,26 +489,17 @@ def test_programs_of_the_documentation_run(
 def test_small_steps_take_little_more_memory_than_their_bytes(tmp_path: Path) -> None:
     step = b"S" + b"\0" * 8 + EMPTY * 2
     write_stream(tmp_path / "many", run_record(), b"O" + EMPTY, step * 50_000, b"V")
-    tracemalloc.start()
-    try:
+    with taking_less_than(100 * 50_000):
         (episode,) = read(tmp_path / "many")
         assert episode.episode_return == 0.0
         assert len(episode.steps) == 50_000
-        assert tracemalloc.get_traced_memory()[1] < 100 * 50_000
-    finally:
-        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("text", ["[" + "[]," * 10**6 + "[]]", '"' + '\\"' * 10**6], ids=["lists", "quotes"])
 def test_run_of_much_json_is_refused_before_it_is_parsed(tmp_path: Path, text: str) -> None:
     write_stream(tmp_path / "run", text_record(b"R", text))
-    tracemalloc.start()
-    try:
-        with pytest.raises(TrajectoryError, match="JSON"):
-            read(tmp_path / "run")
-        assert tracemalloc.get_traced_memory()[1] < 8 * len(text)
-    finally:
-        tracemalloc.stop()
+    with taking_less_than(8 * len(text)), pytest.raises(TrajectoryError, match="JSON"):
+        read(tmp_path / "run")
 
 
 def test_long_texts_of_a_run_are_read_back(tmp_path: Path) -> None:
@@ -525,17 +515,23 @@ def test_long_texts_of_a_run_are_read_back(tmp_path: Path) -> None:
 Steps = list[tuple[Action, float]]
 
 
+@contextmanager
+def writing(path: Path) -> Iterator[ActionWriter]:
+    """Write a recording of a run's actions."""
+    with path.open("wb") as file:
+        writer = ActionWriter(file.write)
+        writer.run(RUN)
+        yield writer
+        writer.close()
+
+
 def written(path: Path, episodes: list[tuple[Steps, Ending]]) -> Path:
-    pieces: list[bytes] = []
-    writer = ActionWriter(pieces.append)
-    writer.run(RUN)
-    for steps, ending in episodes:
-        writer.start()
-        for action, reward in steps:
-            writer.step(action.body, reward)
-        writer.end(ending)
-    writer.close()
-    path.write_bytes(b"".join(pieces))
+    with writing(path) as writer:
+        for steps, ending in episodes:
+            writer.start()
+            for action, reward in steps:
+                writer.step(action.body, reward)
+            writer.end(ending)
     return path
 
 
@@ -614,20 +610,16 @@ def test_a_step_takes_less_than_four_bytes_even_in_short_episodes_at_random(tmp_
 
 def test_a_writer_of_actions_over_a_limit_refuses(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """What it has written until then can be read, with the same limit."""
-    pieces: list[bytes] = []
-    writer = ActionWriter(pieces.append)
-    writer.run(RUN)
-    writer.start()
     monkeypatch.setattr(limits, "MAX_BLOCK", 2)
     monkeypatch.setattr(limits, "MAX_EPISODE", 2**20)
-    for step in range(104):
-        writer.step(Action([step], chars=b"x" * 10_000).body, step)
-    with pytest.raises(LocalProtocolError, match="episode of more than 1048576 bytes"):
-        writer.step(Action([104], chars=b"x" * 10_000).body, 0.0)
-    writer.start()
-    writer.step(EMPTY, 0.0)
-    writer.close()
-    (tmp_path / "a").write_bytes(b"".join(pieces))
+    with writing(tmp_path / "a") as writer:
+        writer.start()
+        for step in range(104):
+            writer.step(Action([step], chars=b"x" * 10_000).body, step)
+        with pytest.raises(LocalProtocolError, match="episode of more than 1048576 bytes"):
+            writer.step(Action([104], chars=b"x" * 10_000).body, 0.0)
+        writer.start()
+        writer.step(EMPTY, 0.0)
     assert [len(episode.steps) for episode in TrajectoryReader(tmp_path / "a")] == [104, 1]
 
 
@@ -659,32 +651,16 @@ def test_late_steps_are_marked(tmp_path: Path, late: list[int]) -> None:
 
 @pytest.mark.parametrize("late", [*LATE, [70_000, 70_003]], ids=str)
 def test_late_steps_are_marked_without_observations(tmp_path: Path, late: list[int]) -> None:
-    pieces: list[bytes] = []
-    writer = ActionWriter(pieces.append)
-    writer.run(RUN)
-    for marks in (late, []):
-        writer.start()
-        for step in range(1, 70_010 if late and late[0] > 4 else 5):  # also in a later block
-            writer.step(Action([step % 3]).body, 0.5, late=step in marks)
-        writer.end(Ending.CUTOFF)
-    writer.close()
-    path = tmp_path / "late.traj"
-    path.write_bytes(b"".join(pieces))
+    with writing(tmp_path / "late.traj") as writer:
+        for marks in (late, []):
+            writer.start()
+            for step in range(1, 70_010 if late and late[0] > 4 else 5):  # also in a later block
+                writer.step(Action([step % 3]).body, 0.5, late=step in marks)
+            writer.end(Ending.CUTOFF)
 
-    marked, none = read(path)
+    marked, none = read(tmp_path / "late.traj")
     assert (list(marked.late), none.late) == (late, ())
     assert marked.steps == none.steps
-
-
-@pytest.mark.parametrize("records", [b"LC", b"LL" + b"C", b"LV", b"L"])
-def test_a_mark_without_a_step_is_refused(tmp_path: Path, records: bytes) -> None:
-    record(tmp_path / "right.traj", 1)
-    right = gzip.decompress((tmp_path / "right.traj").read_bytes())[len(MAGIC) :]
-    run = right[: right.index(b"O\x02\x00\x00\x00")]
-    start = b"O" + observation(0).body
-
-    with pytest.raises(TrajectoryError, match=r"where a step is to follow|ends inside a record"):
-        read(write_stream(tmp_path / "wrong.traj", run, start, records))
 
 
 # The comparison that replays of all recordings share

@@ -62,13 +62,18 @@ def test_every_rule_of_a_peer_is_an_action_or_left_out() -> None:
     assert set(rules()) - set(quotations()) == LEFT_OUT
 
 
+def tlc(folder: Path, workers: int, config: Path, model: str) -> str:
+    """Return the output of TLC for a model in a folder."""
+    java = ["java", "-XX:+UseSerialGC", "-Xmx4g", "-cp", os.environ["TLA2TOOLS"], "tlc2.TLC", "-deadlock"]
+    options = ["-workers", str(workers), "-metadir", str(folder), "-config", str(config), model]
+    return subprocess.run(java + options, cwd=folder, capture_output=True, text=True, timeout=1200).stdout
+
+
 def check(folder: Path, model: str, config: str) -> str:
     """Return the output of TLC for a model and its configuration."""
     (folder / "Glue.tla").write_text(model, encoding="utf-8")
     (folder / "Glue.cfg").write_text(config, encoding="utf-8")
-    command = ["java", "-XX:+UseSerialGC", "-Xmx4g", "-cp", os.environ["TLA2TOOLS"], "tlc2.TLC", "-deadlock"]
-    options = [*("-workers", "2", "-metadir", str(folder)), *("-config", "Glue.cfg", "Glue.tla")]
-    return subprocess.run(command + options, cwd=folder, capture_output=True, text=True, timeout=1200).stdout
+    return tlc(folder, 2, folder / "Glue.cfg", "Glue.tla")
 
 
 @with_tlc

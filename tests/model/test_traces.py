@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.model.test_model import FOLDER, with_tlc
+from tests.model.test_model import FOLDER, tlc, with_tlc
 from tests.simulation.tracing import Line, module, traced
 
 RUNS = 200
@@ -21,11 +19,9 @@ def followed(folder: Path, runs: list[tuple[int, list[Line]]]) -> set[int]:
     for file in ("Glue.tla", "Trace.tla"):
         shutil.copy(FOLDER / file, folder)
     (folder / "Simulated.tla").write_text(module(runs), encoding="utf-8")
-    command = ["java", "-XX:+UseSerialGC", "-Xmx2g", "-cp", os.environ["TLA2TOOLS"], "tlc2.TLC", "-deadlock"]
-    options = ["-workers", "1", "-metadir", str(folder), "-config", str(FOLDER / "Trace.cfg"), "Trace.tla"]
-    done = subprocess.run(command + options, cwd=folder, capture_output=True, text=True, timeout=1200)
-    assert "No error has been found." in done.stdout, done.stdout[-5000:]
-    return {int(number) - 1 for number in re.findall(r'<<"followed", (\d+)>>', done.stdout)}
+    output = tlc(folder, 1, FOLDER / "Trace.cfg", "Trace.tla")
+    assert "No error has been found." in output, output[-5000:]
+    return {int(number) - 1 for number in re.findall(r'<<"followed", (\d+)>>', output)}
 
 
 @with_tlc

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
@@ -292,169 +292,140 @@ class Watch:
                 self._now = message
                 return super().answer(message)
 
-        replaced: list[tuple[Any, str, Any]] = [
-            (players, "ServedPlayer", Counting),
-            (inside, "ServedPlayer", Counting),
-            (channels._SocketChannel, "deliver", self._delivering(channels._SocketChannel.deliver)),
-            (Sessions, "tick", self._ticking(Sessions.tick)),
-            (Pacer, "due", self._acting(Pacer.due)),
-            (Sessions, "receive", self._receiving(Sessions.receive)),
-            (Session, "__init__", self._opening(Session.__init__)),
-            (Session, "join", self._joining(Session.join)),
-            (Session, "lose", self._losing(Session.lose)),
-            (channels.Channels, "drop", self._dropping(channels.Channels.drop)),
-            (SocketTransport, "send_message", self._sending(SocketTransport.send_message)),
-            (SocketTransport, "receive_message", self._reading(SocketTransport.receive_message)),
+        watched: list[tuple[Any, str, Callable[..., Any]]] = [
+            (channels._SocketChannel, "deliver", self._deliver),
+            (Sessions, "tick", self._tick),
+            (Pacer, "due", self._due),
+            (Sessions, "receive", self._receive),
+            (Session, "__init__", self._open),
+            (Session, "join", self._join),
+            (Session, "lose", self._lose),
+            (channels.Channels, "drop", self._drop),
+            (SocketTransport, "send_message", self._send_message),
+            (SocketTransport, "receive_message", self._receive_message),
         ]
-        with replacing(replaced):
+        counting = [(module, "ServedPlayer", Counting) for module in (players, inside)]
+        with replacing([*counting, *(_watched(*each) for each in watched)]):
             yield
 
-    def _acting(self, original: Any) -> Any:
-        def due(pacer: Pacer) -> Any:
-            self.reached("hub: a late action" if pacer.asked else "hub: an action in time")
-            return original(pacer)
+    def _due(self, original: Any, pacer: Pacer) -> Any:
+        self.reached("hub: a late action" if pacer.asked else "hub: an action in time")
+        return original(pacer)
 
-        return due
+    def _deliver(self, original: Any, channel: Any, message: Message) -> bool:
+        delivered: bool = original(channel, message)
+        kind = message.kind
+        self._deliveries += 1
+        if delivered:
+            end = channel.connection._socket
+            self.order.sent(end, message)
+            if kind is Kind.WELCOME:
+                hub = end.process.number
+                incarnation = self._incarnations[hub, message.session]
+                self._welcomes[end.fd, message.session, message.seq] = hub, incarnation
+            if kind in MOMENTS:
+                self._shown.shown((channel, message.session), message)
+            elif kind is Kind.WELCOME and not message.scalars[1]:
+                self._shown.joined((channel, message.session))
+        if kind is Kind.NOTICE and message.scalars[0] == Event.LOST:
+            self._told.append(Role(str(message.scalars[1])))
+        if kind in _OF_EPISODES:
+            self._not_void(message)
+        if kind in _NAMED:
+            what = "" if kind is Kind.GOODBYE else f" {message.scalars[1 if kind is Kind.WELCOME else 0]!s}"
+            self.seen[f"hub: {kind.name}{what}{'' if delivered else ' not delivered'}"] += 1
+        elif not delivered:
+            self.seen["hub: a message found its connection gone"] += 1
+        if self._trace and kind is not Kind.HEARTBEAT:
+            self.note("hub", "sends" if delivered else "cannot send", _peer_of(channel), message)
+        return delivered
 
-    def _delivering(self, original: Any) -> Any:
-        def deliver(channel: Any, message: Message) -> bool:
-            delivered: bool = original(channel, message)
-            kind = message.kind
-            self._deliveries += 1
-            if delivered:
-                end = channel.connection._socket
-                self.order.sent(end, message)
-                if kind is Kind.WELCOME:
-                    hub = end.process.number
-                    incarnation = self._incarnations[hub, message.session]
-                    self._welcomes[end.fd, message.session, message.seq] = hub, incarnation
-                if kind in MOMENTS:
-                    self._shown.shown((channel, message.session), message)
-                elif kind is Kind.WELCOME and not message.scalars[1]:
-                    self._shown.joined((channel, message.session))
-            if kind is Kind.NOTICE and message.scalars[0] == Event.LOST:
-                self._told.append(Role(str(message.scalars[1])))
-            if kind in _OF_EPISODES:
-                self._not_void(message)
-            if kind in _NAMED:
-                what = (
-                    "" if kind is Kind.GOODBYE else f" {message.scalars[1 if kind is Kind.WELCOME else 0]!s}"
-                )
-                self.seen[f"hub: {kind.name}{what}{'' if delivered else ' not delivered'}"] += 1
-            elif not delivered:
-                self.seen["hub: a message found its connection gone"] += 1
-            if self._trace and kind is not Kind.HEARTBEAT:
-                self.note("hub", "sends" if delivered else "cannot send", _peer_of(channel), message)
-            return delivered
+    def _tick(self, original: Any, sessions: Sessions, now: float) -> None:
+        original(sessions, now)
+        for hub in self._hubs.values():
+            if hub.sessions is sessions:
+                self._memory(hub)
 
-        return deliver
+    def _receive(self, original: Any, sessions: Sessions, channel: Any, message: Message, now: float) -> bool:
+        if self._trace and message.kind is not Kind.HEARTBEAT:
+            self.note("hub", "receives", _peer_of(channel), message)
+        if message.kind in _BEGIN and message.seq > self._void.get(message.session, (message.seq, 0))[0]:
+            del self._void[message.session]
+        if isinstance(channel, channels._SocketChannel):
+            self.order.read(channel.connection._socket, message)  # type: ignore[arg-type]
+        if message.kind is Kind.OBSERVE:
+            self._shown.wanted((channel, message.session), message.scalars[0])
+        member = message.kind is Kind.HELLO and message.session in sessions._joined.get(channel, {})
+        before = self._deliveries
+        result: bool = original(sessions, channel, message, now)
+        if member and self._deliveries > before + 1:
+            self._run.problems.append(f"(f) {_peer_of(channel)} joined {message.session} twice")
+        return result
 
-    def _ticking(self, original: Any) -> Any:
-        def tick(sessions: Sessions, now: float) -> None:
-            original(sessions, now)
-            for hub in self._hubs.values():
-                if hub.sessions is sessions:
-                    self._memory(hub)
+    def _send_message(self, original: Any, transport: Any, message: Message) -> bool:
+        current: Any = getcurrent()
+        if transport.connected and current.process.number not in self._run.liars:
+            self.order.sent(transport._socket, message)
+        sent: bool = original(transport, message)
+        return sent
 
-        return tick
+    def _receive_message(self, original: Any, transport: Any, max_body: int) -> Message | None:
+        message: Message | None = original(transport, max_body)
+        if message is not None:
+            end = transport._socket
+            self.order.read(end, message)
+            if message.kind is Kind.WELCOME:
+                welcome = self._welcomes[end.peer.fd, message.session, message.seq]
+                self._welcomed[end.process.number, message.session] = welcome
+            elif message.kind in (Kind.GOODBYE, Kind.REFUSE):
+                self.leaves()
+        return message
 
-    def _receiving(self, original: Any) -> Any:
-        def receive(sessions: Sessions, channel: Any, message: Message, now: float) -> bool:
-            if self._trace and message.kind is not Kind.HEARTBEAT:
-                self.note("hub", "receives", _peer_of(channel), message)
-            if message.kind in _BEGIN and message.seq > self._void.get(message.session, (message.seq, 0))[0]:
-                del self._void[message.session]
-            if isinstance(channel, channels._SocketChannel):
-                self.order.read(channel.connection._socket, message)  # type: ignore[arg-type]
-            if message.kind is Kind.OBSERVE:
-                self._shown.wanted((channel, message.session), message.scalars[0])
-            member = message.kind is Kind.HELLO and message.session in sessions._joined.get(channel, {})
-            before = self._deliveries
-            result: bool = original(sessions, channel, message, now)
-            if member and self._deliveries > before + 1:
-                self._run.problems.append(f"(f) {_peer_of(channel)} joined {message.session} twice")
-            return result
+    def _open(self, original: Any, session: Session, sessions: Any, name: str, *more: Any) -> None:
+        original(session, sessions, name, *more)
+        current: Any = getcurrent()
+        self._incarnations[current.process.number, name] += 1
+        self._void.pop(name, None)
+        self._losses.pop(name, None)
 
-        return receive
+    def _join(self, original: Any, session: Session, peer: Any, same: bool, announce: bool) -> None:
+        if not same and peer.role is Role.EXPERIMENT:
+            self._void.pop(session.name, None)
+            self._losses.pop(session.name, None)
+        if same and peer.role is Role.EXPERIMENT:
+            self.seen[f"hub: an experiment returned, {'a' if session._reply else 'no'} reply to repeat"] += 1
+        elif same:
+            asked = session._engine.asked
+            its = asked is not None and CALLS[asked.kind].callee is peer.role
+            self.seen[f"hub: a player returned, {'a' if its else 'no'} call outstanding"] += 1
+        self._told.clear()
+        original(session, peer, same, announce)
+        if peer.role is Role.EXPERIMENT:
+            self._not_told(session)
 
-    def _sending(self, original: Any) -> Any:
-        def send_message(transport: Any, message: Message) -> bool:
-            current: Any = getcurrent()
-            if transport.connected and current.process.number not in self._run.liars:
-                self.order.sent(transport._socket, message)
-            sent: bool = original(transport, message)
-            return sent
+    def _lose(self, original: Any, session: Session, peer: Any, why: str, code: Any) -> None:
+        engine = session._engine
+        when = "in an episode" if engine.in_episode else "in a verb" if engine.verb else "between verbs"
+        self.seen[f"hub: lost an {peer.role} {when}"] += 1
+        self.note("hub", "loses", f"{peer.role} of {session.name}", why)
+        last = session._request_seq
+        first = last + (session._reply is not None)
+        if peer.role in (Role.AGENT, Role.ENVIRONMENT):
+            self._losses.setdefault(session.name, []).append((first, peer.role))
+            if engine.in_episode:
+                self._void[session.name] = last, first
+        original(session, peer, why, code)
 
-        return send_message
+    def _drop(self, original: Any, every: Any, channel: Any, why: str | None) -> None:
+        where = "in a session" if channel.in_session else "without a session"
+        self.seen[f"hub: dropped a connection {where}{' for ' + why[:24] if why else ''}"] += 1
+        original(every, channel, why)
 
-    def _reading(self, original: Any) -> Any:
-        def receive_message(transport: Any, max_body: int) -> Message | None:
-            message: Message | None = original(transport, max_body)
-            if message is not None:
-                end = transport._socket
-                self.order.read(end, message)
-                if message.kind is Kind.WELCOME:
-                    welcome = self._welcomes[end.peer.fd, message.session, message.seq]
-                    self._welcomed[end.process.number, message.session] = welcome
-                elif message.kind in (Kind.GOODBYE, Kind.REFUSE):
-                    self.leaves()
-            return message
 
-        return receive_message
-
-    def _opening(self, original: Any) -> Any:
-        def init(session: Session, sessions: Any, name: str, *more: Any) -> None:
-            original(session, sessions, name, *more)
-            current: Any = getcurrent()
-            self._incarnations[current.process.number, name] += 1
-            self._void.pop(name, None)
-            self._losses.pop(name, None)
-
-        return init
-
-    def _joining(self, original: Any) -> Any:
-        def join(session: Session, peer: Any, same: bool, announce: bool) -> None:
-            if not same and peer.role is Role.EXPERIMENT:
-                self._void.pop(session.name, None)
-                self._losses.pop(session.name, None)
-            if same and peer.role is Role.EXPERIMENT:
-                self.seen[
-                    f"hub: an experiment returned, {'a' if session._reply else 'no'} reply to repeat"
-                ] += 1
-            elif same:
-                asked = session._engine.asked
-                its = asked is not None and CALLS[asked.kind].callee is peer.role
-                self.seen[f"hub: a player returned, {'a' if its else 'no'} call outstanding"] += 1
-            self._told.clear()
-            original(session, peer, same, announce)
-            if peer.role is Role.EXPERIMENT:
-                self._not_told(session)
-
-        return join
-
-    def _losing(self, original: Any) -> Any:
-        def lose(session: Session, peer: Any, why: str, code: Any) -> None:
-            engine = session._engine
-            when = "in an episode" if engine.in_episode else "in a verb" if engine.verb else "between verbs"
-            self.seen[f"hub: lost an {peer.role} {when}"] += 1
-            self.note("hub", "loses", f"{peer.role} of {session.name}", why)
-            last = session._request_seq
-            first = last + (session._reply is not None)
-            if peer.role in (Role.AGENT, Role.ENVIRONMENT):
-                self._losses.setdefault(session.name, []).append((first, peer.role))
-                if engine.in_episode:
-                    self._void[session.name] = last, first
-            original(session, peer, why, code)
-
-        return lose
-
-    def _dropping(self, original: Any) -> Any:
-        def drop(every: Any, channel: Any, why: str | None) -> None:
-            where = "in a session" if channel.in_session else "without a session"
-            self.seen[f"hub: dropped a connection {where}{' for ' + why[:24] if why else ''}"] += 1
-            original(every, channel, why)
-
-        return drop
+def _watched(owner: Any, name: str, watching: Callable[..., Any]) -> tuple[Any, str, Any]:
+    """Return an attribute and the function in its place, which hands `watching` the original first."""
+    original = getattr(owner, name)
+    return owner, name, lambda *given, **named: watching(original, *given, **named)
 
 
 def _peer_of(channel: Any) -> str:

@@ -303,16 +303,8 @@ class _Event:
 class _Thread:
     """A thread of the process that starts it."""
 
-    def __init__(
-        self,
-        world: World,
-        target: Callable[..., object],
-        args: tuple[Any, ...] = (),
-        kwargs: dict[str, Any] | None = None,
-        name: str = "",
-        daemon: bool = False,
-    ) -> None:
-        self._run: Callable[[], object] = lambda: target(*args, **(kwargs or {}))
+    def __init__(self, world: World, *, target: Callable[[], object], name: str, daemon: bool) -> None:
+        self._run = target
         self._ended = _Event(world)
 
     def start(self) -> None:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from experiment_runner.competition.settings import is_name
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import RECORDS
@@ -18,8 +18,17 @@ from glue.closing import Closing
 from glue.errors import ExperimentError
 from glue.files import create_regular, open_regular
 
+NAMES: Final = "up to 64 letters, digits and _ . + - are allowed, and the first is a letter, a digit or _"
+"""The names of entrants and tasks that are allowed, for messages: each names folders."""
+
+_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,63}")
 _MOST_BYTES: Final = 2**32
 """Maximum size of a record that is read."""
+
+
+def is_name(text: str) -> bool:
+    """Return whether a task or an entrant can have this name; see `NAMES`."""
+    return _NAME.fullmatch(text) is not None
 
 
 class RecordFile(Closing):

@@ -30,13 +30,14 @@ from experiment_runner.competition.match import NOT_CONNECTED, Match
 from experiment_runner.competition.organiser import Matches, Say, matches
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import Act, act, utc_now
+from experiment_runner.competition.records.record import NAMES, is_name
 from experiment_runner.competition.records.seal import add_trials, record_acts, record_verdict
 from experiment_runner.competition.season import control, schedule
 from experiment_runner.competition.season.acts import acts_for
 from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
-from experiment_runner.competition.settings import NAMES, Competition, Entrant, Gate, is_name
+from experiment_runner.competition.settings import Competition, Entrant, Gate
 from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.state import IMAGE_ID, Attempt, Enrolled
 from experiment_runner.competition.trials import attempt_trials, levels

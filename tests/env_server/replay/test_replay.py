@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import json
 import subprocess
-import tracemalloc
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -39,6 +38,7 @@ from glue.roles import Environment
 from glue.trajectory import ActionWriter, Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
 from tests import forked
+from tests.memory import taking_less_than
 from tests.proof import size
 from tests.terminal import run_in_terminal
 
@@ -493,12 +493,8 @@ def test_long_episode_of_the_original_takes_no_memory(tmp_path: Path) -> None:
     run, start = golden_lines("variants.jsonl.gz", 1)[:2]
     step = {"kind": "step", "a": [0, 0, 0], "r": 0, "end": 0, "h": "0123456789abcdef"}
     path = write_golden(tmp_path / "long", [*as_hashes([run, start]), *[step] * 8_000, {"kind": "end"}])
-    tracemalloc.start()
-    try:
+    with taking_less_than(2**20):
         (episode,) = (part for part in GoldenReader(path) if isinstance(part, GoldenEpisode))
-        assert tracemalloc.get_traced_memory()[1] < 2**20
-    finally:
-        tracemalloc.stop()
     assert episode.run.name == run["id"]
 
 

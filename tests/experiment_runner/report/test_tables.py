@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from experiment_runner.report.tables import format_table, summarize, tabulate
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
+from tests.memory import taking_less_than
 
 PLAN = Plan(episodes=20_000, trials=3, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
@@ -176,13 +176,9 @@ def test_unusual_returns_show_in_the_means(store: Store, values: tuple[float, ..
 
 def test_memory_does_not_grow_with_the_episodes(store: Store) -> None:
     record(store, FIRST, *[1.0] * 20_000)
-    tracemalloc.start()
-    try:
+    with taking_less_than(200_000):
         tabulate(store, 0.0)
         summarize(store, 0.0)
-        assert tracemalloc.get_traced_memory()[1] < 200_000  # bytes
-    finally:
-        tracemalloc.stop()
 
 
 def test_no_word_of_a_run_is_broken_on_a_narrow_terminal(tmp_path: Path) -> None:

@@ -57,18 +57,16 @@ class Showing(Environment):
 class Seeing(Agent):
     """Keeps the observations that it receives."""
 
-    def __init__(self, masks: bool, action: Action = ACTION) -> None:
+    def __init__(self, masks: bool) -> None:
         self.agent_masks = masks
-        self.action = action
         self.seen: list[Observation] = []
 
     def agent_start(self, observation: Observation) -> Action:
         self.seen.append(observation)
-        return self.action
+        return ACTION
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
-        self.seen.append(observation)
-        return self.action
+        return self.agent_start(observation)
 
 
 def inside_the_hub(agent: Any, environment: Any) -> AbstractContextManager[Any]:

@@ -14,18 +14,12 @@ from glue.wire.messages import CALLS, Kind, Role
 from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent, SeededEnvironment
 
 ANSWERS: dict[Kind, tuple[tuple[Any, ...], Any]] = {
-    Kind.ENV_SEED: ((), None),
     Kind.ENV_INIT: ((), "spec"),
     Kind.ENV_START: ((), "o0"),
     Kind.ENV_STEP: ((1.0, False), "o"),
-    Kind.ENV_CLEANUP: ((), None),
     Kind.ENV_MESSAGE: ((), "env answer"),
-    Kind.AGENT_SEED: ((), None),
-    Kind.AGENT_INIT: ((), None),
     Kind.AGENT_START: ((), "a0"),
     Kind.AGENT_STEP: ((), "a"),
-    Kind.AGENT_END: ((), None),
-    Kind.AGENT_CLEANUP: ((), None),
     Kind.AGENT_MESSAGE: ((), "agent answer"),
 }
 """Answers of players whose episodes never end; bodies are names, since the engine never reads them."""
@@ -41,7 +35,7 @@ def go_on(
     made = []
     while engine.awaiting is not None:
         made.append(step.kind.name)
-        scalars, body = ANSWERS[step.kind]
+        scalars, body = ANSWERS.get(step.kind, ((), None))
         step = engine.resume(step.kind, env_step if step.kind is Kind.ENV_STEP else scalars, body)
     return made, step
 
@@ -56,6 +50,13 @@ def drive(
 def initialised(seed: int | None = None) -> Engine:
     engine = Engine("empty action")
     drive(engine, Kind.RL_INIT, seed)
+    return engine
+
+
+def asked_for_a_step() -> Engine:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    engine.begin(Kind.RL_STEP)
     return engine
 
 
@@ -198,9 +199,7 @@ def test_an_answer_to_nothing_is_an_error() -> None:
 
 
 def test_after_an_abort_the_next_verb_begins_afresh() -> None:
-    engine = initialised()
-    drive(engine, Kind.RL_START)
-    engine.begin(Kind.RL_STEP)
+    engine = asked_for_a_step()
     engine.abort()
     assert (engine.awaiting, engine.verb, engine.asked) == (None, None, None)
     assert drive(engine, Kind.RL_STEP)[0] == ["ENV_STEP", "AGENT_STEP"]
@@ -282,18 +281,14 @@ def test_an_episode_of_half_steps_counts_like_any_other() -> None:
 
 
 def test_an_end_that_the_agent_did_not_live_to_hear_is_not_counted() -> None:
-    engine = initialised()
-    drive(engine, Kind.RL_START)
-    engine.begin(Kind.RL_STEP)
+    engine = asked_for_a_step()
     assert engine.resume(Kind.ENV_STEP, ENDS, "o").kind is Kind.AGENT_END
     engine.abort()
     assert engine.num_episodes == 0
 
 
 def test_an_agent_that_is_lost_at_the_cut_off_leaves_no_episode_behind() -> None:
-    engine = initialised()
-    drive(engine, Kind.RL_START)
-    engine.begin(Kind.RL_STEP)
+    engine = asked_for_a_step()
     assert engine.resume(Kind.ENV_STEP, (1.0, CUT_OFF), "o").kind is Kind.AGENT_STEP
     assert not engine.in_episode
 

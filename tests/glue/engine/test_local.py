@@ -15,22 +15,14 @@ from glue.options import build
 from glue.roles import Agent, AgentLike
 from glue.types import CUT_OFF, Action, Observation, Step
 from tests.hubs import over_the_hub
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.players import ScriptedAgent, ScriptedEnvironment, failing
 
 BOTH = pytest.mark.parametrize("glue", [local, over_the_hub])
 
 
-class Faulty(ScriptedAgent):
-    """An agent that raises `error` at the call `at`."""
-
-    def __init__(self, at: str, error: BaseException) -> None:
-        super().__init__(before=self._fail)
-        self._at = at
-        self._error = error
-
-    def _fail(self, call: str) -> None:
-        if call.startswith(self._at):
-            raise self._error
+def faulty(at: str, error: BaseException) -> ScriptedAgent:
+    """Return an agent that raises `error` at a call."""
+    return ScriptedAgent(before=failing(at, error))
 
 
 class Answering(ScriptedEnvironment):
@@ -44,16 +36,17 @@ class Answering(ScriptedEnvironment):
 
 def test_an_exception_of_the_agent_names_it_and_the_call_and_keeps_the_cause() -> None:
     cause = ValueError("no such thing")
-    glue = local(Faulty("agent_step", cause), ScriptedEnvironment())
+    glue = local(faulty("agent_step", cause), ScriptedEnvironment())
     glue.rl_init()
-    with pytest.raises(PeerFailed, match="agent Faulty raised in agent_step: ValueError: no such thing") as e:
+    with pytest.raises(PeerFailed) as caught:
         glue.rl_episode()
-    assert e.value.__cause__ is cause
+    assert str(caught.value) == "agent ScriptedAgent raised in agent_step: ValueError: no such thing"
+    assert caught.value.__cause__ is cause
 
 
 def test_a_glue_error_of_a_player_is_its_failure_too() -> None:
-    glue = local(Faulty("agent_init", LocalProtocolError("ints must be whole")), ScriptedEnvironment())
-    with pytest.raises(PeerFailed, match="agent Faulty raised in agent_init: ints must be whole"):
+    glue = local(faulty("agent_init", LocalProtocolError("ints must be whole")), ScriptedEnvironment())
+    with pytest.raises(PeerFailed, match="agent ScriptedAgent raised in agent_init: ints must be whole"):
         glue.rl_init()
 
 
@@ -72,7 +65,7 @@ def test_an_episode_continues_to_each_limit_and_without_one_to_its_end(
 
 
 def test_an_interrupt_passes_through() -> None:
-    glue = local(Faulty("agent_step", KeyboardInterrupt()), ScriptedEnvironment())
+    glue = local(faulty("agent_step", KeyboardInterrupt()), ScriptedEnvironment())
     glue.rl_init()
     with pytest.raises(KeyboardInterrupt):
         glue.rl_episode()
@@ -200,28 +193,15 @@ def test_optional_methods_may_be_left_out(
         experiment.rl_cleanup()
 
 
-class CuttingEnvironment(ScriptedEnvironment):
-    """Cuts every second of its episodes off."""
-
-    episodes = 0
-
-    def env_start(self) -> Observation:
-        self.episodes += 1
-        return super().env_start()
-
-    def env_step(self, action: Action) -> Any:
-        reward, observation, terminal = super().env_step(action)
-        return Step(reward, observation, terminal, terminal and self.episodes % 2 == 0)
-
-
 @BOTH
 def test_at_a_cut_off_the_agent_gets_the_last_observation_and_no_end(glue: Callable[..., Any]) -> None:
-    agent = ScriptedAgent()
-    with glue(agent, CuttingEnvironment()) as experiment:
+    agent, environment = ScriptedAgent(), ScriptedEnvironment()
+    with glue(agent, environment) as experiment:
         experiment.rl_init()
         assert experiment.rl_episode() is True
         assert (experiment.rl_num_steps(), experiment.rl_num_episodes()) == (3, 1)
         agent.calls.clear()
+        environment.cuts = True
         assert experiment.rl_episode() is False
         assert agent.calls == ["agent_start [0]", *(f"agent_step 1 [{step}]" for step in (1, 2, 3))]
         assert (experiment.rl_num_steps(), experiment.rl_num_episodes()) == (4, 1)
@@ -288,6 +268,7 @@ class Keeping(ScriptedAgent):
 
 
 class KeepingEnvironment(ScriptedEnvironment):
+    cuts = True
     saved = b"its"
 
     def env_save(self) -> bytes:
@@ -295,10 +276,6 @@ class KeepingEnvironment(ScriptedEnvironment):
 
     def env_load(self, data: bytes) -> None:
         self.saved = data
-
-    def env_step(self, action: Action) -> Step:  # type: ignore[override]
-        reward, observation, terminal = super().env_step(action)
-        return Step(reward, observation, terminal, truncated=terminal)
 
 
 @BOTH

@@ -14,6 +14,7 @@ from glue.roles import capabilities
 from glue.taskspec import parse_task_spec
 from glue.taskspec.spaces import Box, Discrete, Tuple, task_spec
 from tests.hubs import hub_with
+from tests.players import outcomes
 
 gymnasium: Any = pytest.importorskip("gymnasium", reason="needs Gymnasium: the extra gym")
 from gymnasium import spaces  # noqa: E402
@@ -247,11 +248,7 @@ def test_sarsa_learns_what_infos_allow() -> None:
         agent: Agent = make_agent("sarsa", epsilon=0.05, step_size=0.4)
         with local(agent, make("gymnasium:Taxi-v4", max_episode_steps=100, **options)) as experiment:
             experiment.rl_init(1)
-            found = []
-            for _ in range(30):
-                experiment.rl_episode()
-                found.append(experiment.rl_return())
-        return found
+            return [total for total, _ in outcomes(experiment, 30)]
 
     assert sum(returns(action_mask=True)) > sum(returns()) + 3_000
 

@@ -18,6 +18,7 @@ from glue.errors import ConfigError, PeerFailed
 from tests.forked import run
 from tests.hubs import hub_with
 from tests.pages import blocks
+from tests.players import outcomes
 
 sb3: Any = pytest.importorskip("stable_baselines3", reason="needs Stable-Baselines3: the extra sb3")
 gymnasium: Any = pytest.importorskip("gymnasium")
@@ -95,11 +96,7 @@ def test_ppo_learns_cartpole_through_the_hub(tmp_path: Path) -> None:
     agent = make_agent("sb3", policy=str(tmp_path / "model.zip"))
     with local(agent, make("gymnasium:CartPole-v1")) as experiment:
         experiment.rl_init(1)
-        returns = []
-        for _ in range(5):
-            experiment.rl_episode()
-            returns.append(experiment.rl_return())
-    assert np.mean(returns) > 150
+        assert np.mean([total for total, _ in outcomes(experiment, 5)]) > 150
     with (
         local(agent, make("gymnasium:Pendulum-v1")) as experiment,
         pytest.raises(PeerFailed, match="was trained on"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -32,6 +31,8 @@ import tests.glue.gym.environments  # noqa: E402, F401
 from glue.gym.spaces import Codec, read_spaces  # noqa: E402
 from glue.gym.vectors import infos_of_step  # noqa: E402
 
+pytestmark = pytest.mark.filterwarnings("ignore")
+
 Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]
 SEED = 11
 NAMES: dict[str, dict[str, Any]] = {
@@ -43,13 +44,6 @@ NAMES: dict[str, dict[str, Any]] = {
     "LunarLander-v3": {},
     "tests/Nested-v0": {"length": 4},
 }
-
-
-@pytest.fixture(autouse=True)
-def _quiet() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 class Playing(Agent):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,9 @@ from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation
 
 spaces: Any = pytest.importorskip("gymnasium.spaces", reason="needs Gymnasium: the extra gym")
-from glue.gym.spaces import (  # noqa: E402
-    Codec,
-    read_spaces,
-    task_spec,
-)
+from glue.gym.spaces import Codec, read_spaces, task_spec  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore")
 
 SHAPES = st.lists(st.integers(0, 3), max_size=3).map(tuple)
 INTEGERS = st.sampled_from([np.int8, np.int16, np.int32, np.int64, np.uint16])
@@ -60,13 +57,6 @@ SPACES = st.recursive(
     ),
     max_leaves=6,
 )
-
-
-@pytest.fixture(autouse=True)
-def _quiet() -> Any:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 @settings(max_examples=60)

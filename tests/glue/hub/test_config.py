@@ -11,24 +11,6 @@ from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, Keys, LegacyPort, Permit, check_session, check_url
 from glue.wire.messages import MAX_BODY, MAX_NAME, Role
 
-
-@pytest.mark.parametrize(
-    "url",
-    [
-        DEFAULT_HUB,
-        "tcp://localhost:1",
-        "tcp://example.org:65535",
-        "tcp://[::1]:4097",
-        "tcp://127.0.0.1:*",
-        "tcp://*:4097",
-        "ipc:///tmp/hub.sock",
-        "ipc://@abstract",
-    ],
-)
-def test_an_address_of_a_hub_is_accepted(url: str) -> None:
-    assert check_url(url) == url
-
-
 NO_ADDRESSES = (
     *(
         "4097",
@@ -54,9 +36,8 @@ NO_ADDRESSES = (
     ],
 )
 def test_what_is_no_address_of_a_hub_is_refused(url: str, complaint: str) -> None:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError, match=complaint):
         check_url(url)
-    assert complaint in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["default", "a b", "é", "x" * MAX_NAME])
@@ -72,10 +53,13 @@ def test_what_cannot_be_printed_is_no_session(name: str) -> None:
 
 @pytest.mark.parametrize(
     "url",
-    ["tcp://127.0.0.1:*", "tcp://127.3.2.1:9", "tcp://[::1]:9", "tcp://localhost:9", "ipc://x"],
+    [
+        *("tcp://127.0.0.1:*", "tcp://127.3.2.1:9", "tcp://[::1]:9", "tcp://localhost:1", DEFAULT_HUB),
+        *("ipc://x", "ipc:///tmp/hub.sock", "ipc://@abstract"),
+    ],
 )
 def test_a_hub_may_listen_where_only_this_machine_reaches(url: str) -> None:
-    assert HubConfig(bind=(url,)).bind == (url,)
+    assert HubConfig(bind=(url,)).bind == (check_url(url),) == (url,)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +70,7 @@ def test_a_hub_may_listen_where_only_this_machine_reaches(url: str) -> None:
         "tcp://192.168.1.5:9",
         "tcp://[::]:9",
         "tcp://eth0:9",
-        "tcp://example.org:9",
+        "tcp://example.org:65535",
     ],
 )
 def test_a_hub_open_to_others_must_be_said_to_be_insecure(url: str) -> None:
@@ -113,9 +97,8 @@ def test_a_hub_open_to_others_must_be_said_to_be_insecure(url: str) -> None:
     ],
 )
 def test_times_and_limits_out_of_range_are_refused(settings: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError, match=complaint):
         HubConfig(**settings)
-    assert complaint in str(caught.value)
 
 
 @pytest.mark.parametrize("parse", [check_url, LegacyPort.parse])

@@ -34,13 +34,11 @@ def port_of(listening: Hub) -> int:
 
 
 def test_a_free_port_is_named() -> None:
-    listening = hub("tcp://127.0.0.1:*", "tcp://[::1]:*")
-    for url, host in zip(listening.endpoints, ("127.0.0.1", "[::1]"), strict=True):
-        address, _, port = url.rpartition(":")
-        assert address == f"tcp://{host}"
-        with socket.create_connection((host.strip("[]"), int(port))):
-            pass
-    listening.close()
+    with hub("tcp://127.0.0.1:*", "tcp://[::1]:*") as listening:
+        for url, host in zip(listening.endpoints, ("127.0.0.1", "[::1]"), strict=True):
+            address, _, port = url.rpartition(":")
+            assert address == f"tcp://{host}"
+            socket.create_connection((host.strip("[]"), int(port))).close()
 
 
 def test_an_address_in_use_is_an_error_that_says_what_to_do(tmp_path: Path) -> None:

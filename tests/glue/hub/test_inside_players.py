@@ -21,7 +21,7 @@ from glue.pace import Pace
 from glue.types import Action, Observation
 from glue.wire.messages import Role
 from tests.hubs import running, serving
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.players import ScriptedAgent, ScriptedEnvironment, failing
 
 ARRANGEMENTS = [frozenset[Role](), {Role.ENVIRONMENT}, {Role.AGENT}, {Role.ENVIRONMENT, Role.AGENT}]
 
@@ -66,14 +66,11 @@ def test_results_are_those_of_one_process(
 
 @pytest.mark.parametrize("role", [Role.AGENT, Role.ENVIRONMENT])
 def test_a_player_that_raises_inside_fails_as_outside(role: Role, capsys: pytest.CaptureFixture[str]) -> None:
-    def fail(call: str) -> None:
-        if call.startswith(("agent_step", "env_step")):
-            raise ValueError("out of ideas")
-
     failures = []
+    fails = failing("agent_step" if role is Role.AGENT else "env_step", ValueError("out of ideas"))
     for inside in (frozenset[Role](), {role}):
-        agent = ScriptedAgent(before=fail) if role is Role.AGENT else ScriptedAgent()
-        environment = ScriptedEnvironment(before=fail) if role is Role.ENVIRONMENT else ScriptedEnvironment()
+        agent, environment = ScriptedAgent(), ScriptedEnvironment()
+        (agent if role is Role.AGENT else environment).before = fails
         with arranged(inside, agent, environment) as glue:
             glue.rl_init()
             with pytest.raises(PeerFailed, match="ValueError: out of ideas") as failed:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import queue
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,6 +22,7 @@ from glue.hub.config import Bind, HubConfig, Keys, Permit
 from glue.hub.io.server import Hub
 from glue.keys.allowed import read_keys
 from glue.keys.certificates import encode, read_pair, read_public
+from glue.notebook.serving import Served
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, decode
 from glue.wire.messages import ErrorCode, Kind, Message, Role
@@ -78,33 +79,31 @@ def secret(folder: KeyFolder, name: str) -> Path:
     return folder.path.parent / "entrants" / f"{name}.key_secret"
 
 
-def join(hub: Hub, folder: KeyFolder, name: str, session: str = "a") -> RemoteExperiment:
-    return connect(hub.endpoints[0], session, key=secret(folder, name), hub_key=folder.hub_key, wait=TIMEOUT)
+def keys_of(folder: KeyFolder, name: str) -> dict[str, Any]:
+    return {"key": secret(folder, name), "hub_key": folder.hub_key}
+
+
+def join(
+    hub: Hub | Proxy, folder: KeyFolder, name: str, session: str = "a", context: Context | None = None
+) -> RemoteExperiment:
+    url = hub.url if isinstance(hub, Proxy) else hub.endpoints[0]
+    return connect(url, session, **keys_of(folder, name), wait=TIMEOUT, context=context)
 
 
 @contextmanager
 def players(hub: Hub, folder: KeyFolder) -> Iterator[None]:
     """An agent and an environment of session a, with the keys of their roles."""
-
-    stop = threading.Event()
-
-    def serve_one(serve: Callable[..., object], player: object, name: str) -> None:
-        keys = {"key": secret(folder, name), "hub_key": folder.hub_key}
-        with suppress(GlueError):
-            serve(player, hub.endpoints[0], "a", **keys, stop=stop)
-
-    threads = [
-        threading.Thread(target=serve_one, args=(serve_agent, ScriptedAgent(), "agent")),
-        threading.Thread(target=serve_one, args=(serve_environment, ScriptedEnvironment(), "environment")),
-    ]
-    for thread in threads:
-        thread.start()
+    url, agents, environments = hub.endpoints[0], keys_of(folder, "agent"), keys_of(folder, "environment")
+    served = (
+        Served(lambda stop: serve_agent(ScriptedAgent(), url, "a", **agents, stop=stop)),
+        Served(lambda stop: serve_environment(ScriptedEnvironment(), url, "a", **environments, stop=stop)),
+    )
     try:
         yield
     finally:
-        stop.set()
-        for thread in threads:
-            thread.join()
+        for player in served:
+            with suppress(GlueError):  # its key may have been taken away
+                player.stop()
 
 
 def test_a_hub_with_keys_may_listen_where_others_reach_it(folder: KeyFolder) -> None:
@@ -138,10 +137,8 @@ def test_a_key_opens_no_more_than_its_address(folder: KeyFolder) -> None:
 
 
 def test_an_unknown_key_is_an_error_at_once_that_names_it(folder: KeyFolder, context: Context | None) -> None:
-    with serving(folder) as hub:
-        url, key = hub.endpoints[0], secret(folder, "stranger")
-        with pytest.raises(Refused) as refused:
-            connect(url, "a", key=key, hub_key=folder.hub_key, context=context)
+    with serving(folder) as hub, pytest.raises(Refused) as refused:
+        join(hub, folder, "stranger", context=context)
     public = encode(read_public(secret(folder, "stranger")))
     assert f"does not know your key, {public} in {secret(folder, 'stranger')}: ask" in str(refused.value)
 
@@ -163,19 +160,9 @@ CUTS = (0, 64, 64 + 170, 0)
 def test_handshakes_that_are_cut_are_tried_again_however_often(
     folder: KeyFolder, context: Context | None
 ) -> None:
-    with (
-        serving(folder) as hub,
-        Proxy(hub.endpoints[0]).in_background() as proxy,
-    ):
+    with serving(folder) as hub, Proxy(hub.endpoints[0]).in_background() as proxy:
         proxy.cut(*CUTS)
-        with connect(
-            proxy.url,
-            "a",
-            key=secret(folder, "experiment"),
-            hub_key=folder.hub_key,
-            wait=TIMEOUT,
-            context=context,
-        ) as glue:
+        with join(proxy, folder, "experiment", context=context) as glue:
             assert proxy.accepted > len(CUTS)
             proxy.cut(*CUTS)
             while not proxy.accepted:
@@ -202,7 +189,7 @@ def test_a_hub_without_keys_is_an_error_for_who_has_one(folder: KeyFolder) -> No
 
 def test_no_hub_is_waited_for_as_without_keys(folder: KeyFolder) -> None:
     with pytest.raises(HubUnreachable):
-        connect("tcp://127.0.0.1:1", key=secret(folder, "agent"), hub_key=folder.hub_key, wait=0.2)
+        connect("tcp://127.0.0.1:1", **keys_of(folder, "agent"), wait=0.2)
 
 
 def test_key_and_hub_key_go_together(folder: KeyFolder) -> None:

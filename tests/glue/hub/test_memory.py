@@ -66,10 +66,10 @@ class Weighed(Rig):
         self.request(Kind.RL_START)
         self.each_answers("ea")
 
-    def replace(self, channel: str, role: Role) -> None:
-        """Let another player take a role."""
+    def replace(self, channel: str) -> None:
+        """Let another player take the role of `a` or `e`."""
         self.put(channel, Kind.GOODBYE, 0, "enough")
-        self.hello(channel, role, who=f"another {channel}")
+        self.hello(channel, {"a": Role.AGENT, "e": Role.ENVIRONMENT}[channel], who=f"another {channel}")
 
     @property
     def held(self) -> int:
@@ -99,41 +99,11 @@ def the_reply_to_a_step(rig: Weighed) -> int:
     return 4  # the task spec, the action, and the reply of two bodies
 
 
-def an_observation_for_a_new_agent(rig: Weighed) -> int:
-    rig.init()
-    rig.replace("a", Role.AGENT)
-    rig.request(Kind.RL_START)
-    rig.answer("e")
-    return 2
-
-
-def an_episode_with_a_new_agent(rig: Weighed) -> int:
-    rig.init()
-    rig.replace("a", Role.AGENT)
-    rig.request(Kind.RL_EPISODE, 0)
-    rig.each_answers("eaaeaeae")
-    return 3
-
-
-def a_message_for_a_new_agent(rig: Weighed) -> int:
-    rig.init()
-    rig.replace("a", Role.AGENT)
-    rig.request(Kind.RL_AGENT_MESSAGE, body=text())
-    return 2
-
-
-def an_action_for_a_new_environment(rig: Weighed) -> int:
-    rig.init()
-    rig.replace("e", Role.ENVIRONMENT)
-    rig.request(Kind.RL_ENV_STEP, body=observation())
-    return 2
-
-
 def a_new_environment_with_another_task(rig: Weighed) -> int:
     rig.start()
     rig.request(Kind.RL_CLEANUP)
     rig.each_answers("ea")
-    rig.replace("e", Role.ENVIRONMENT)
+    rig.replace("e")
     rig.request(Kind.RL_EPISODE, 0)
     rig.answer("e", body=text()[1:] + b"!")
     rig.each_answers("eaa")
@@ -147,49 +117,52 @@ def an_episode_that_becomes_light(rig: Weighed) -> int:
     return 0
 
 
-def a_void_episode(rig: Weighed) -> int:
-    rig.start()
-    rig.request(Kind.RL_STEP)
-    rig.put("a", Kind.GOODBYE, 0, "enough")
-    return 2
-
-
-def an_experiment_that_left(rig: Weighed) -> int:
-    rig.start()
-    rig.request(Kind.RL_STEP)
-    rig.put("x", Kind.GOODBYE, 0, "enough")
-    return 0
-
-
-def a_session_that_all_have_left(rig: Weighed) -> int:
-    rig.start()
-    for channel in ("x", "e", "a"):
-        rig.put(channel, Kind.GOODBYE, 0, "enough")
-    assert rig.sessions.memory.total == 0
-    return 0
-
-
 @pytest.mark.parametrize(
     "scene",
     [
         an_episode,
         a_step_that_ends_the_episode,
         the_reply_to_a_step,
-        an_observation_for_a_new_agent,
-        an_episode_with_a_new_agent,
-        a_message_for_a_new_agent,
-        an_action_for_a_new_environment,
         a_new_environment_with_another_task,
         an_episode_that_becomes_light,
-        a_void_episode,
-        an_experiment_that_left,
-        a_session_that_all_have_left,
     ],
     ids=lambda scene: scene.__name__,
 )
 def test_a_session_accounts_for_the_bodies_that_it_keeps(scene: Callable[[Weighed], int]) -> None:
     rig = Weighed()
     assert scene(rig) == rig.held
+
+
+@pytest.mark.parametrize(
+    ("channel", "verb", "body", "answers", "kept"),
+    [
+        ("a", (Kind.RL_START,), b"", "e", 2),
+        ("a", (Kind.RL_EPISODE, 0), b"", "eaaeaeae", 3),
+        ("a", (Kind.RL_AGENT_MESSAGE,), text(), "", 2),
+        ("e", (Kind.RL_ENV_STEP,), observation(), "", 2),
+    ],
+    ids=["observation", "episode", "message", "action"],
+)
+def test_a_session_accounts_for_what_it_keeps_for_a_new_player(
+    channel: str, verb: tuple[Any, ...], body: bytes, answers: str, kept: int
+) -> None:
+    rig = Weighed()
+    rig.init()
+    rig.replace(channel)
+    rig.request(*verb, body=body)
+    rig.each_answers(answers)
+    assert rig.held == kept
+
+
+@pytest.mark.parametrize(("leaving", "kept"), [("a", 2), ("x", 0), ("xea", 0)])
+def test_a_session_accounts_for_what_it_keeps_when_peers_have_left(leaving: str, kept: int) -> None:
+    rig = Weighed()
+    rig.start()
+    rig.request(Kind.RL_STEP)
+    for channel in leaving:
+        rig.put(channel, Kind.GOODBYE, 0, "enough")
+    assert rig.held == kept
+    assert (rig.sessions.memory.total == 0) is (leaving == "xea")
 
 
 def test_a_session_with_the_longest_names_weighs_no_more_than_its_fixed_part() -> None:

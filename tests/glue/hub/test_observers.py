@@ -9,7 +9,7 @@ import pytest
 from glue.hub.observers import MAX_OBSERVERS
 from glue.types import Action
 from glue.wire.messages import CALLS, THREE_ROLES, ErrorCode, Kind, Message, Role, Shape
-from tests.glue.hub.test_sessions import ACTION, OBSERVATION, Rig, error
+from tests.glue.hub.test_sessions import ACTION, OBSERVATION, Rig, check_error, error
 
 EMPTY = Action().body
 
@@ -36,15 +36,13 @@ def watch(rig: Rig, moments: int, channel: str = "o") -> list[Message]:
 
 def play(rig: Rig, seq: int, max_steps: int = 3) -> None:
     """Play an episode that is cut off."""
-    rig.ask(Kind.RL_EPISODE, seq, max_steps)
-    rig.serve()
+    rig.carry_out(Kind.RL_EPISODE, seq, max_steps)
     assert rig.received("x")[-1].kind is Kind.RL_EPISODE
 
 
 def test_an_observer_is_shown_the_task_spec_starts_and_steps_with_their_counters(rig: Rig) -> None:
     watch(rig, 100)
-    rig.ask(Kind.RL_INIT, 1, None)
-    rig.serve()
+    rig.carry_out(Kind.RL_INIT, 1, None)
     play(rig, 2)
     play(rig, 3, 2)
     assert shown(rig) == [
@@ -58,10 +56,8 @@ def test_an_observer_is_shown_the_task_spec_starts_and_steps_with_their_counters
 
 
 def test_who_comes_late_is_told_the_task_spec_and_shown_the_rest_of_the_episode(rig: Rig) -> None:
-    rig.ask(Kind.RL_INIT, 1, None)
-    rig.serve()
-    rig.ask(Kind.RL_START, 2)
-    rig.serve()
+    rig.carry_out(Kind.RL_INIT, 1, None)
+    rig.carry_out(Kind.RL_START, 2)
     (spec,) = watch(rig, 1)
     assert (spec.kind, spec.seq, spec.body) == (Kind.OBSERVED_INIT, 0, b"spec")
     rig.ask(Kind.RL_STEP, 3)
@@ -74,18 +70,15 @@ def test_who_comes_late_is_told_the_task_spec_and_shown_the_rest_of_the_episode(
 
 def test_half_steps_are_shown_with_the_action_that_they_carry(rig: Rig) -> None:
     watch(rig, 9)
-    rig.ask(Kind.RL_ENV_START, 1)
-    rig.serve()
+    rig.carry_out(Kind.RL_ENV_START, 1)
     other = Action(ints=[77]).body
-    rig.ask(Kind.RL_ENV_STEP, 2, body=other)
-    rig.serve()
+    rig.carry_out(Kind.RL_ENV_STEP, 2, body=other)
     assert [one[3] for one in shown(rig)] == [OBSERVATION, OBSERVATION + other]
 
 
 def test_a_step_without_a_start_shows_the_empty_action(rig: Rig) -> None:
     watch(rig, 1)
-    rig.ask(Kind.RL_STEP, 1)
-    rig.serve()
+    rig.carry_out(Kind.RL_STEP, 1)
     assert [one[3] for one in shown(rig)] == [OBSERVATION + EMPTY]
 
 
@@ -105,8 +98,7 @@ def test_no_more_moments_are_shown_than_are_wanted_and_the_numbers_tell_what_was
 def test_what_an_observer_does_not_read_is_missed_and_no_peer_notices(rig: Rig) -> None:
     watch(rig, 100)
     rig.full.add("o")
-    rig.ask(Kind.RL_INIT, 1, None)
-    rig.serve()
+    rig.carry_out(Kind.RL_INIT, 1, None)
     play(rig, 2, 4)
     rig.full.remove("o")
     play(rig, 3, 2)
@@ -119,10 +111,8 @@ def test_what_an_observer_does_not_read_is_missed_and_no_peer_notices(rig: Rig) 
 
 def test_what_the_agent_answers_to_the_experiment_is_told_whoever_wants_it(rig: Rig) -> None:
     watch(rig, 0)
-    rig.ask(Kind.RL_AGENT_MESSAGE, 1, body=b"values\n\xff")
-    rig.serve()
-    rig.ask(Kind.RL_ENV_MESSAGE, 2, body=b"level 7")
-    rig.serve()
+    rig.carry_out(Kind.RL_AGENT_MESSAGE, 1, body=b"values\n\xff")
+    rig.carry_out(Kind.RL_ENV_MESSAGE, 2, body=b"level 7")
     assert shown(rig) == [(Kind.OBSERVED_MESSAGE, 1, ("values \ufffd",), b"agent answer")]
 
 
@@ -184,9 +174,7 @@ def test_nothing_that_an_observer_sends_changes_anything(kind: Kind, seq: int) -
 
 @pytest.mark.parametrize("channel", ["a", "e", "x"])
 def test_who_takes_part_cannot_ask_to_be_shown_anything(rig: Rig, channel: str) -> None:
-    code, text = error(rig.say(channel, Kind.OBSERVE, 0, 5))
-    assert code == ErrorCode.NOT_ASKED
-    assert text.startswith("OBSERVE is not for this ")
+    check_error(rig.say(channel, Kind.OBSERVE, 0, 5), ErrorCode.NOT_ASKED, "OBSERVE is not for this ")
 
 
 def test_a_session_has_so_many_observers_and_those_that_are_gone_make_room(rig: Rig) -> None:

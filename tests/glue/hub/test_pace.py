@@ -8,7 +8,7 @@ from glue.hub.config import HubConfig, TimeLimits
 from glue.pace import Pace
 from glue.types import Action, Observation
 from glue.wire.messages import ErrorCode, Event, Kind, Message, Role
-from tests.glue.hub.test_sessions import Rig, error, notices
+from tests.glue.hub.test_sessions import Rig, check_error, error, notices
 from tests.hubs import over_the_hub
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.weighing import check_sessions
@@ -38,8 +38,7 @@ def begun(
     """
     rig: Rig = Rig(HubConfig(heartbeat=1.0, timeout=5.0, time=time, pace=pace))
     rig.fill(agent=abilities, experiment=experiment)
-    rig.ask(Kind.RL_INIT, 1, None)
-    rig.serve()
+    rig.carry_out(Kind.RL_INIT, 1, None)
     rig.ask(Kind.RL_EPISODE, 2, 0)
     rig.answer("e")
     rig.wait(3.0)
@@ -53,6 +52,13 @@ def step(rig: Rig, number: int, terminal: bool = False) -> bytes:
     assert call.kind is Kind.ENV_STEP
     rig.put("e", call.kind, call.seq, 1.0, terminal, body=observation(number))
     return call.body
+
+
+def asked(*abilities: str) -> tuple[Rig, Message]:
+    """Return a rig whose agent has been asked for an action after the first step, and this call."""
+    rig = begun(Pace(rate=10.0), *abilities)
+    step(rig, 1)
+    return rig, rig.called("a")
 
 
 def test_an_action_that_comes_in_time_is_carried_out_when_its_step_is_due() -> None:
@@ -69,9 +75,7 @@ def test_an_action_that_comes_in_time_is_carried_out_when_its_step_is_due() -> N
 
 
 def test_a_late_agents_call_stays_outstanding_and_its_answer_is_carried_out_next() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    first = rig.called("a")
+    rig, first = asked()
     for number in (2, 3, 4):
         rig.wait(0.1)
         assert step(rig, number) == action(100)
@@ -115,9 +119,7 @@ def test_a_welcome_confirms_the_pace_to_experiments_where_there_is_one() -> None
 
 
 def test_an_episode_that_ends_while_the_agent_is_late_waits_for_its_answer() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    late = rig.called("a")
+    rig, late = asked()
     rig.wait(0.1)
     step(rig, 2, terminal=True)
     assert calls(rig, "a") == calls(rig, "x") == []
@@ -129,9 +131,7 @@ def test_an_episode_that_ends_while_the_agent_is_late_waits_for_its_answer() -> 
 
 
 def test_an_agent_with_the_capability_is_told_its_deadline_and_latency() -> None:
-    rig = begun(Pace(rate=10.0), "pace")
-    step(rig, 1)
-    call = rig.called("a")
+    rig, call = asked("pace")
     assert list(call.scalars) == pytest.approx([1.0, 0.1, 3.0])
     rig.wait(0.05)
     rig.put("a", call.kind, call.seq, body=action(101))
@@ -142,9 +142,7 @@ def test_an_agent_with_the_capability_is_told_its_deadline_and_latency() -> None
 
 
 def test_an_agent_that_returns_is_sent_its_outstanding_call_again() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    call = rig.called("a")
+    rig, call = asked()
     rig.cut("a")
     for number in (2, 3):
         rig.wait(0.1)
@@ -171,9 +169,7 @@ def test_an_agent_that_is_lost_voids_the_episode_and_another_takes_its_place() -
 
 
 def test_an_environment_that_is_lost_ends_the_agents_call_too() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    late = rig.called("a")
+    rig, late = asked()
     rig.wait(0.1)
     rig.lose("e")
     rig.received("x")
@@ -186,18 +182,14 @@ def test_an_environment_that_is_lost_ends_the_agents_call_too() -> None:
 
 
 def test_an_answer_to_another_call_is_refused() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    call = rig.called("a")
+    rig, call = asked()
     (refusal,) = rig.say("a", Kind.AGENT_END, call.seq)
     assert refusal.scalars == ("not-asked", "AGENT_END was answered; AGENT_STEP was asked")
     assert error(rig.received("x"))[0] == ErrorCode.PEER_FAILED
 
 
 def test_an_agent_that_raises_fails_the_verb() -> None:
-    rig = begun(Pace(rate=10.0))
-    step(rig, 1)
-    call = rig.called("a")
+    rig, call = asked()
     rig.put("a", Kind.ERROR, call.seq, "exception", "no idea")
     assert error(rig.received("x")) == (ErrorCode.PEER_FAILED, "agent a raised in agent_step: no idea")
 
@@ -211,7 +203,7 @@ def test_a_late_agent_has_its_time_limit_all_the_same() -> None:
         rig.wait(0.5)
         rig.sessions.tick(rig.now)
     assert number == 5  # one second is free, the bank has three, and the start has taken two of them
-    assert "a ran out of time" in error(failure)[1]
+    check_error(failure, ErrorCode.PEER_FAILED, "a ran out of time")
 
 
 def test_a_late_agent_is_reported_as_slow() -> None:
@@ -229,8 +221,7 @@ def test_a_message_between_two_steps_waits_for_the_agent() -> None:
     # in an episode made step by step
     step(rig, 1, terminal=True)
     rig.answer("a")
-    rig.ask(Kind.RL_START, 3)
-    rig.serve()
+    rig.carry_out(Kind.RL_START, 3)
     rig.received("x")
     rig.ask(Kind.RL_STEP, 4)
     step(rig, 1)
@@ -257,8 +248,7 @@ def test_a_batch_has_no_pace() -> None:
     rig.fill(agent=("batch",), environment=("batch",))
     rig.ask(Kind.RL_INIT, 1, None)
     rig.answer("e")
-    code, text = error(rig.received("x"))
-    assert (code, "no rate and no delay" in text) == (ErrorCode.UNSUPPORTED, True)
+    check_error(rig.received("x"), ErrorCode.UNSUPPORTED, "no rate and no delay")
 
 
 @pytest.mark.parametrize(("pace", "late"), [(Pace(delay=1), 0), (Pace(), None)])

@@ -16,15 +16,7 @@ import pytest
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.legacy import bodies
-from glue.legacy.codec import (
-    FROM,
-    TO,
-    Decoder,
-    Frame,
-    Layout,
-    Vocabulary,
-    encode,
-)
+from glue.legacy.codec import FROM, TO, Decoder, Frame, Layout, Vocabulary, encode
 from glue.wire.messages import Body, Role, Value
 from tests.glue.legacy.conversations import REWARDS, TYPES, conversation
 from tests.proof import size

@@ -17,6 +17,7 @@ from glue.errors import ConfigError, GlueError
 from glue.plugins.loading import Trained, load_trained
 from glue.roles import capabilities
 from tests.forked import run
+from tests.players import outcomes
 from tests.terminal import Terminal
 
 
@@ -25,8 +26,7 @@ def sarsa(episodes: int) -> SarsaAgent:
     agent = SarsaAgent()
     with local(agent, MinesEnvironment()) as glue:
         glue.rl_init(seed=1)
-        for _ in range(episodes):
-            glue.rl_episode(200)
+        outcomes(glue, episodes, 200)
     return agent
 
 
@@ -66,12 +66,9 @@ def test_what_another_task_taught_is_refused_at_init() -> None:
 def test_loaded_agent_plays_from_the_command_line_as_it_had_learned(tmp_path: Path) -> None:
     learned = sarsa(200).agent_save()
     (tmp_path / "mines.agent").write_bytes(learned)
-    expected = []
     with local(Trained(SarsaAgent(learning=False, epsilon=0), learned), MinesEnvironment()) as glue:
         glue.rl_init(seed=0)
-        for _ in range(3):
-            glue.rl_episode(60)
-            expected.append((glue.rl_return(), glue.rl_num_steps()))
+        expected = outcomes(glue, 3, 60)
     hub = f"ipc://{tmp_path}/hub"
     greedy = ("--no-learning", "--epsilon", "0")
     with closing(

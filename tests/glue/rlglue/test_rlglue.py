@@ -70,6 +70,13 @@ class Line(Environment):
         return "inits %d" % self.inits if message == "inits" else None
 
 
+class Silent(Environment):
+    def env_init(self):
+        pass
+
+    env_start = env_step = env_init
+
+
 class Walker(Agent):
     def agent_init(self, text):
         spec = TaskSpecVRLGLUE3.TaskSpecParser(text)
@@ -203,17 +210,6 @@ class Up(BaseAgent):
         self.log.append(("end", reward))
 """
 
-SILENT = """
-from rlglue.environment.Environment import Environment
-
-
-class Silent(Environment):
-    def env_init(self):
-        pass
-
-    env_start = env_step = env_init
-"""
-
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -295,8 +291,7 @@ def test_players_of_rlglue_as_it_was_before_2025_play(here: Path, extra: bool) -
 
 
 def test_an_environment_of_the_codec_without_a_task_spec_has_none_or_that_of_its_option(here: Path) -> None:
-    (here / "silent.py").write_text(SILENT)
-    silent = find(Role.ENVIRONMENT, "rlglue:silent.py:Silent")
+    silent = find(Role.ENVIRONMENT, "rlglue:codec.py:Silent")
     assert parse_task_spec(build(silent, {}).env_init()).actions.stated is False
     assert build(silent, {"task_spec": "VERSION mine"}).env_init() == "VERSION mine"
 

@@ -19,12 +19,7 @@ from glue.extras import Extra, pack_extras, unpack_extras
 from glue.types import Observation, beside_sizes, body_size
 from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.messages import (
-    MAX_FRAME,
-    Body,
-    Message,
-    Value,
-)
+from glue.wire.messages import MAX_FRAME, Body, Message, Value
 from tests.glue.wire.examples import EXAMPLES
 
 FILE: Final = Path(glue.testing.__file__).with_name("vectors.json")

@@ -61,13 +61,14 @@ def welcomed(decoder: Decoder, client: CurveClient) -> None:
     client.welcome(said(decoder, command(client.hello())))
 
 
-def connected(mechanism: CurveServer | None = None) -> tuple[Decoder, CurveClient]:
-    """Return both ends of a connection whose handshake is complete."""
+def connected() -> tuple[CurveServer, Decoder, CurveClient]:
+    """Return both ends of a connection whose handshake is complete: the hub's with its decoder."""
+    mechanism = server()
     decoder, client = greeted(mechanism), CurveClient(CAROL, SERVER.public)
     welcomed(decoder, client)
     assert client.ready(said(decoder, command(client.initiate()))) == METADATA.replace(b"DEALER", b"ROUTER")
     assert decoder.ready
-    return decoder, client
+    return mechanism, decoder, client
 
 
 def test_a_public_key_belongs_to_its_secret_one() -> None:
@@ -82,8 +83,7 @@ def test_the_greeting_of_the_server_says_that_it_is_one() -> None:
 @pytest.mark.parametrize("header", [0, 1, 30, 222])
 @pytest.mark.parametrize("body", [0, 1, 222, 223, 255, 256, 3000])
 def test_a_message_of_two_frames_is_opened_as_a_whole(header: int, body: int) -> None:
-    mechanism = server()
-    _, client = connected(mechanism)
+    mechanism, _, client = connected()
     frames = [bytes(range(header)), bytes(i % 251 for i in range(body))]
     for _ in range(2):
         message = mechanism.open_message(client.message(frames[0], 1) + client.message(frames[1]))
@@ -93,8 +93,7 @@ def test_a_message_of_two_frames_is_opened_as_a_whole(header: int, body: int) ->
 @pytest.mark.parametrize("header", [0, 1, 30, 222])
 @pytest.mark.parametrize("body", [0, 1, 222, 223, 255, 256, 3584, 4000])
 def test_a_message_of_two_frames_is_sealed_as_a_whole(header: int, body: int) -> None:
-    mechanism = server()
-    _, client = connected(mechanism)
+    mechanism, _, client = connected()
     for fill in range(3):
         frames = [bytes([fill]) * header, bytes([fill]) * body]
         sealed = bytes(mechanism.seal_message(*frames))
@@ -123,10 +122,9 @@ def anything_else(client: CurveClient) -> dict[str, bytes]:
     }
 
 
-@pytest.mark.parametrize("what", anything_else(connected()[1]))
+@pytest.mark.parametrize("what", anything_else(connected()[2]))
 def test_anything_else_is_left_to_the_decoder(what: str) -> None:
-    mechanism = server()
-    decoder, client = connected(mechanism)
+    mechanism, decoder, client = connected()
     data = anything_else(client)[what]
     received = mechanism._received
     assert mechanism.open_message(data) is None
@@ -135,8 +133,7 @@ def test_anything_else_is_left_to_the_decoder(what: str) -> None:
 
 
 def test_each_changed_bit_is_found_and_the_message_itself_can_still_be_read() -> None:
-    mechanism = server()
-    _, client = connected(mechanism)
+    mechanism, _, client = connected()
     data = client.message(b"header", 1) + client.message(b"body of a step")
     for at in range(8 * len(data)):
         changed = bytearray(data)
@@ -148,8 +145,7 @@ def test_each_changed_bit_is_found_and_the_message_itself_can_still_be_read() ->
 
 @pytest.mark.parametrize("order", ["a replayed first frame", "an older last frame"])
 def test_frames_of_two_messages_are_not_one(order: str) -> None:
-    mechanism = server()
-    decoder, client = connected(mechanism)
+    mechanism, decoder, client = connected()
     earlier, later = ([client.message(b"header", 1), client.message(b"body")] for _ in range(2))
     if order == "a replayed first frame":
         assert mechanism.open_message(b"".join(earlier)) is not None
@@ -162,8 +158,7 @@ def test_frames_of_two_messages_are_not_one(order: str) -> None:
 
 
 def test_messages_go_both_ways_with_their_flags_encrypted() -> None:
-    mechanism = server()
-    decoder, client = connected(mechanism)
+    mechanism, decoder, client = connected()
     assert mechanism.client == CAROL.public
     large = bytes(MAX_FRAME)
     assert events(decoder, client.message(b"header", 1) + client.message(large)) == [[b"header", large]]
@@ -178,7 +173,7 @@ def test_messages_go_both_ways_with_their_flags_encrypted() -> None:
 
 
 def test_a_ping_is_answered_encrypted() -> None:
-    decoder, client = connected()
+    _, decoder, client = connected()
     [pong] = events(decoder, client.message(b"\x04PING\x00\x10abc", 2))
     assert isinstance(pong, bytes)
     assert client.read(pong[2:]) == (2, b"\x04PONGabc")
@@ -186,7 +181,7 @@ def test_a_ping_is_answered_encrypted() -> None:
 
 
 def test_nothing_in_plain_text_is_read_quickly() -> None:
-    decoder, _ = connected()
+    _, decoder, _ = connected()
     decoder.receive_data(b"\0\1x")
     assert not decoder.take_back(), "a step in plain text would be taken for one of the peer's"
 
@@ -228,11 +223,9 @@ def test_an_initiate_is_checked_whoever_made_it(bent: Bent) -> None:
 
 
 def test_an_encrypted_frame_has_a_long_head_from_256_bytes_on() -> None:
-    decoder, client = connected()
+    mechanism, decoder, client = connected()
     for size in (222, 223):
         assert events(decoder, client.message(bytes(size))) == [[bytes(size)]]
-    mechanism = server()
-    connected(mechanism)
     assert [mechanism.encode([bytes(size)])[:1] for size in (222, 223)] == [b"\0", b"\2"]
 
 
@@ -308,7 +301,7 @@ def test_within_a_connection_neither_handshake_nor_message_can_be_repeated() -> 
 
 
 def test_nonces_may_leave_gaps_and_never_go_back() -> None:
-    decoder, client = connected()
+    _, decoder, client = connected()
     late = client.message(b"late")
     client.number += 1000
     assert events(decoder, client.message(b"x")) == [[b"x"]]
@@ -329,21 +322,21 @@ def test_nonces_may_leave_gaps_and_never_go_back() -> None:
     ids=["short", "long", "two frames", "command", "error", "too large"],
 )
 def test_after_the_handshake_all_is_encrypted(said: bytes, why: str) -> None:
-    decoder, _ = connected()
+    _, decoder, _ = connected()
     with pytest.raises(RemoteProtocolError, match=why):
         events(decoder, said)
 
 
 @pytest.mark.parametrize("flags", [3, 4, 255])
 def test_flags_in_the_box_are_checked(flags: int) -> None:
-    decoder, client = connected()
+    _, decoder, client = connected()
     with pytest.raises(RemoteProtocolError, match=f"flags {flags} in it"):
         events(decoder, client.message(b"x", flags))
 
 
 def test_a_message_changed_on_its_way_is_refused() -> None:
     for at in range(2, 40):
-        decoder, client = connected()
+        _, decoder, client = connected()
         frame = bytearray(client.message(b"15 bytes are 40"[:7]))
         frame[at] ^= 1
         with pytest.raises(RemoteProtocolError):

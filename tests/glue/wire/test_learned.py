@@ -270,6 +270,11 @@ def events(stream: Stream, data: bytes) -> list[str]:
     half = len(data) // 2 if data[-1] % 8 == 0 else 0
     for part in filter(None, (data[:half], data[half:])):
         stream.receive_data(part)
+    return reported(stream)
+
+
+def reported(stream: Stream) -> list[str]:
+    """Return what a stream reports of the data that it has received."""
     found: list[str] = []
     while True:
         try:

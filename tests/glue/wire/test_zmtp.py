@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from glue.errors import RemoteProtocolError
 from glue.wire.zmtp import GREETING, ROUTER, Decoder, encode
+from tests.memory import taking_less_than
 
 READY = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
 ANSWER = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06ROUTER"
@@ -103,16 +104,10 @@ def test_of_what_comes_to_nothing_a_little_is_taken_at_once(frame: bytes) -> Non
 
 def test_bytes_that_come_in_little_pieces_take_little_more_room_than_at_once() -> None:
     decoder = greeted()
-    tracemalloc.start()
-    try:
-        data = b"\x02" + struct.pack(">Q", MAX_FRAME) + bytes(MAX_FRAME - 1)
-        before, _ = tracemalloc.get_traced_memory()
+    data = b"\x02" + struct.pack(">Q", MAX_FRAME) + bytes(MAX_FRAME - 1)
+    with taking_less_than(2 * MAX_FRAME):
         for at in range(0, len(data), 2):
             assert events(decoder, data[at : at + 2]) == []
-        after, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert after - before < 2 * MAX_FRAME
 
 
 def test_the_beginning_of_another_message_does_not_keep_the_one_before() -> None:
