@@ -15,12 +15,10 @@ from agents.mario.agent import ACTIONS, legal_actions
 from agents.network.agent import NetworkAgent
 from agents.tabular import SarsaAgent, epsilon_greedy
 from env_server.toys import MinesEnvironment
-from glue.engine.local import local
-from glue.errors import RemoteProtocolError
-from glue.roles import Agent, capabilities
+from glue import Action, Agent, Observation, RemoteProtocolError, local
+from glue.roles import capabilities
 from glue.taskspec import legal_values, parse_task_spec
 from glue.taskspec.spaces import Box, Discrete, Tuple, task_spec
-from glue.types import Action, Observation
 from tests.agents.screens import draw
 
 DIGITS = task_spec(Discrete(10), Discrete(10, start=-3), extra="masks")

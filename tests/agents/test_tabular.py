@@ -8,8 +8,7 @@ import pytest
 
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
-from glue.engine.local import local
-from glue.errors import LocalProtocolError
+from glue import LocalProtocolError, local
 
 _SPEC = "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS {} ACTIONS {} REWARDS (0 1)"
 

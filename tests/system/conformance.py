@@ -17,9 +17,7 @@ import numpy as np
 
 from agents.baselines import SkeletonAgent
 from env_server.toys import SkeletonEnvironment
-from glue.engine.experiment import Experiment
-from glue.roles import Agent, Environment
-from glue.types import Action, Observation, Step
+from glue import Action, Agent, Environment, Experiment, Observation, Step
 
 Seen = list[Any]
 

@@ -14,13 +14,10 @@ from typing import Any, NoReturn
 import pytest
 
 from env_server.toys import SkeletonEnvironment
-from glue.client.experiment import RemoteExperiment, connect
-from glue.engine.experiment import Experiment
-from glue.engine.local import local
-from glue.errors import HubClosed, PeerLost
+from glue import Action, Experiment, HubClosed, PeerLost, Step, connect, local
+from glue.client.experiment import RemoteExperiment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from glue.types import Action, Step
 from tests.forked import Recorded
 from tests.hubs import serving
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment

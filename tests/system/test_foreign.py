@@ -11,16 +11,13 @@ from typing import Final
 
 import pytest
 
-from glue.client.experiment import connect
+from glue import Action, Environment, Experiment, Observation, connect
 from glue.conform.clients.judge import judge
 from glue.conform.clients.process import ClientProcess
 from glue.conform.report import line
 from glue.conform.rules import Outcome, Tier
-from glue.engine.experiment import Experiment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from glue.roles import Environment
-from glue.types import Action, Observation
 from glue.wire.messages import Role
 from tests.cc import compiled
 from tests.hubs import serving

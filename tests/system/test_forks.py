@@ -6,8 +6,7 @@ import os
 import warnings
 from pathlib import Path
 
-from glue import connect, load_run
-from glue.errors import LocalProtocolError
+from glue import LocalProtocolError, connect, load_run
 from tests.forked import run
 from tests.hubs import hub_with
 from tests.players import ScriptedAgent, ScriptedEnvironment

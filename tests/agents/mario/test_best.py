@@ -10,10 +10,8 @@ import pytest
 from agents.mario.agent import ACTIONS, LEFT, action_number
 from agents.mario.best import BestAgent
 from env_server.mario.environment import InfiniteMario
-from glue.engine.local import local
-from glue.roles import Environment
+from glue import Action, Environment, Observation, local
 from glue.saves import unpack
-from glue.types import Action, Observation
 from tests.agents.screens import TASK_SPEC, draw
 
 RUN_LEFT = ACTIONS[action_number(LEFT, False, True)]

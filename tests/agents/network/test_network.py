@@ -24,8 +24,7 @@ from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LEVEL_SETS
 from env_server.mario.many.games import SAME_STEP, Games
 from env_server.mario.many.views import VIEWS
-from glue import local
-from glue.errors import ConfigError
+from glue import ConfigError, local
 
 Arrays = dict[str, npt.NDArray[Any]]
 

@@ -12,13 +12,9 @@ import pytest
 from agents.soar.agents import SoarAgent, SoarHierarchicalAgent, SoarMinesAgent, SoarPlayer, parse_rules
 from agents.soar.kernel import SoarError
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
-from glue.engine.experiment import Experiment
-from glue.engine.local import local
-from glue.errors import ConfigError, GlueError, SaveError
+from glue import Action, ConfigError, Experiment, GlueError, Observation, SaveError, check_agent, local
 from glue.plugins.loading import find, names
 from glue.saves import Saved, pack, unpack
-from glue.testing import check_agent
-from glue.types import Action, Observation
 from glue.wire.messages import Role
 from tests.contract.test_installed_players import observe
 

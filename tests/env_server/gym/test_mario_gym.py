@@ -13,8 +13,7 @@ import pytest
 
 from env_server.mario.observation import BODY_SIZE
 from env_server.mario.parameters import Parameters
-from glue.errors import ConfigError, SimulatorError
-from glue.types import Observation
+from glue import ConfigError, Observation, SimulatorError
 from tests.env_server.mario import golden_check
 
 gymnasium: Any = pytest.importorskip("gymnasium", reason="needs Gymnasium: the extra gym")

@@ -10,10 +10,8 @@ import pytest
 from agents.mario.runner import RunRightAgent
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.many.environment import InfiniteMarioBatch
-from glue.engine.local import local
-from glue.errors import ConfigError, SimulatorError
+from glue import Action, ConfigError, Observation, SimulatorError, local
 from glue.roles import capabilities
-from glue.types import Action, Observation
 
 MODES = {0: "small", 10: "large", 11: "fire"}
 

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from env_server.mario.environment import InfiniteMario, State, pack_state
-from glue.errors import SaveError, SimulatorError
+from glue import Action, Observation, SaveError, SimulatorError
 from glue.options import build
 from glue.roles import capabilities
-from glue.types import Action, Observation
 from tests.env_server.mario.golden_check import DIGESTS
 
 Options = dict[str, Any]

@@ -24,9 +24,8 @@ from env_server.render.artwork import PALETTE, SPRITES, TILES
 from env_server.render.drawing import HEIGHT, WIDTH, Picture, draw, save_gif, save_mp4, save_png
 from env_server.render.scene import KINDS, Sprite, between, buried_cells, is_scene, outlined, read_scene
 from env_server.render.text import draw_text
+from glue import ConfigError, Observation, SimulatorError
 from glue.cli.screen import TerminalScreen, has_color
-from glue.errors import ConfigError, SimulatorError
-from glue.types import Observation
 from tests.clock import Clock
 from tests.proof import size
 

@@ -15,10 +15,9 @@ from env_server.mario.environment import InfiniteMario
 from env_server.render.live import Rendered
 from env_server.render.text import draw_mines, draw_text
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from glue import Action, Observation, check_environment
 from glue.cli.screen import TerminalScreen, renderer
 from glue.roles import capabilities
-from glue.testing import check_environment
-from glue.types import Action, Observation
 from tests.forked import BIN
 from tests.terminal import Terminal, drawings, run_in_terminal, watched_terminal
 

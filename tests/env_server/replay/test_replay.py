@@ -32,12 +32,10 @@ from env_server.replay.episodes import (
     replayed_moments,
 )
 from env_server.toys import MinesEnvironment
-from glue.errors import ConfigError
+from glue import Action, ConfigError, Environment, Observation
 from glue.extras import Extra
 from glue.options import Value
-from glue.roles import Environment
 from glue.trajectory import ActionWriter, Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
-from glue.types import Action, Observation
 from tests import forked
 from tests.proof import size
 from tests.terminal import run_in_terminal

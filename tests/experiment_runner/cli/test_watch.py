@@ -14,11 +14,8 @@ from agents.tabular import SarsaAgent
 from env_server.mario.environment import InfiniteMario
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.cli.watch import play
+from glue import ConfigError, Environment, Observation, local
 from glue.cli.screen import Marks, TerminalScreen, read_marks, renderer
-from glue.engine.local import local
-from glue.errors import ConfigError
-from glue.roles import Environment
-from glue.types import Observation
 from tests.forked import run
 from tests.glue.plugins.test_trained import sarsa
 from tests.terminal import drawings, run_in_terminal, watched_terminal

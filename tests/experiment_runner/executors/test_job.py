@@ -34,9 +34,7 @@ from experiment_runner.executors.trial import run_job, watched
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
-from glue.engine.local import local
-from glue.errors import ExperimentError
-from glue.types import Action, Observation, Step
+from glue import Action, ExperimentError, Observation, Step, local
 from glue.wire.messages import Role
 
 RESULT = EpisodeResult(7, -1.25, 2**40, False, 0.5)

@@ -16,9 +16,7 @@ import pytest
 
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
-from glue import make, make_agent
-from glue.client.players import serve_agent, serve_environment
-from glue.errors import GlueError
+from glue import GlueError, make, make_agent, serve_agent, serve_environment
 from tests import forked
 from tests.keyed import KeyFolder
 from tests.scripted.peer import TIMEOUT

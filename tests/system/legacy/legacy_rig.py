@@ -11,16 +11,15 @@ from typing import Any
 import pytest
 import zmq
 
-from glue.client.experiment import RemoteExperiment, connect
+from glue import Agent, Environment, connect, serve_agent, serve_environment
+from glue.client.experiment import RemoteExperiment
 from glue.client.libzmq import Context
-from glue.client.players import serve_agent, serve_environment
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy import peers
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPeer, LegacyPlayer
-from glue.roles import Agent, Environment
 from glue.wire.messages import MAX_BODY, Message
 from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, OriginalExperiment, Style, play
 from tests.system.runs import wait_until

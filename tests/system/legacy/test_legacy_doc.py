@@ -11,11 +11,10 @@ import click
 import pytest
 
 from experiment_runner.cli.experiment import experiment
+from glue import Action, Agent, Observation
 from glue.cli.hub import hub
 from glue.legacy import bodies, codec, pending
 from glue.legacy.experiment import READ_AHEAD
-from glue.roles import Agent
-from glue.types import Action, Observation
 from tests.pages import DOCS, section
 from tests.system.legacy.legacy_client import STYLES, Connection, Id, play
 from tests.system.legacy.legacy_rig import gateway

@@ -13,16 +13,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glue import Action, Agent, Environment, HubClosed, LocalProtocolError, Observation, PeerFailed, PeerLost
 from glue.client.experiment import RemoteExperiment
-from glue.errors import HubClosed, LocalProtocolError, PeerFailed, PeerLost
 from glue.hub.channel import Channel
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPlayer
-from glue.roles import Agent, Environment
-from glue.types import Action, Observation
 from glue.wire.messages import Kind, Message
 from tests import weighing
 from tests.players import ScriptedAgent, ScriptedEnvironment

@@ -9,10 +9,7 @@ import pytest
 
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
-from glue.engine.experiment import Experiment
-from glue.engine.local import local
-from glue.errors import PeerFailed
-from glue.types import Action, Observation, Step
+from glue import Action, Experiment, Observation, PeerFailed, Step, local
 from tests.glue.engine.test_beside_players import ACTION, FULL, Seeing, Showing
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent, Seen

@@ -10,14 +10,11 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
+from glue import Action, Observation, PeerLost, local, serve_environment
 from glue.client.experiment import RemoteExperiment, connect_over
-from glue.client.players import serve_environment
-from glue.engine.local import local
-from glue.errors import PeerLost
 from glue.hub.config import HubConfig
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
-from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import ROOT, peer

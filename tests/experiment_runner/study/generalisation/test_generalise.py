@@ -25,11 +25,8 @@ from experiment_runner.study.generalisation.players import (
     set_name,
 )
 from experiment_runner.study.generalisation.summary import summarise, table
-from glue import Action, Observation
-from glue.engine.experiment import Experiment
-from glue.engine.local import LocalExperiment, local
-from glue.errors import ConfigError, ExperimentError
-from glue.roles import Agent
+from glue import Action, Agent, ConfigError, Experiment, ExperimentError, Observation, local
+from glue.engine.local import LocalExperiment
 
 TASK = InfiniteMario().parameters
 
