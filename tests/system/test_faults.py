@@ -34,7 +34,7 @@ class Processes:
     """Players in processes of their own, any number one after another."""
 
     def __init__(self, hub: str, role: str, player: str) -> None:
-        self._arguments = (role, hub, player)
+        self._arguments = (role, hub, f"tests.players:{player}")
         self._started: list[Recorded] = []
 
     def __enter__(self) -> Processes:
@@ -48,10 +48,6 @@ class Processes:
     def start(self) -> None:
         """Start another player."""
         self._started.append(Recorded(main, *self._arguments))
-
-    def signal(self, number: int) -> None:
-        """Send a signal to the latest process."""
-        os.kill(self.latest.pid, number)
 
     @property
     def latest(self) -> Recorded:
@@ -122,18 +118,8 @@ class Run:
 
 
 CASES = {
-    "agent": (
-        "tests.players:TellingAgent",
-        ScriptedEnvironment,
-        "env_step",
-        "agent_seed agent_init agent_start",
-    ),
-    "environment": (
-        "tests.players:TellingEnvironment",
-        ScriptedAgent,
-        "agent_step",
-        "env_seed env_init env_start",
-    ),
+    "agent": ("TellingAgent", ScriptedEnvironment, "env_step", "agent_seed agent_init agent_start"),
+    "environment": ("TellingEnvironment", ScriptedAgent, "agent_step", "env_seed env_init env_start"),
 }
 """For each role that a fault strikes: its player, the partner, the partner's call, and the first calls."""
 
@@ -148,7 +134,7 @@ def calls(glue: Experiment, role: str) -> list[str]:
 def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
     run = Run(timeout=1.0)
-    kill = At(moment, 5, lambda: processes.signal(signal.SIGKILL))
+    kill = At(moment, 5, lambda: os.kill(processes.latest.pid, signal.SIGKILL))
     with run.experiment(role, player, partner(before=kill)) as (glue, processes):
         run.on_notice["lost"] = processes.start
         glue.rl_init(seed=5)
@@ -206,8 +192,8 @@ def play_over_cuts(cuts: int, seed: int) -> None:
         proxy = Proxy(hub.endpoints[0], cuts, seed)
         with (
             proxy.in_background(),
-            Processes(proxy.url, "agent", "tests.players:ChainAgent"),
-            Processes(proxy.url, "environment", "tests.players:ChainEnvironment"),
+            Processes(proxy.url, "agent", "ChainAgent"),
+            Processes(proxy.url, "environment", "ChainEnvironment"),
             connect(proxy.url) as glue,
         ):
             assert chain(glue, episodes) == expected
@@ -227,8 +213,8 @@ def hub_process(bind: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
     with ExitStack() as stack:
         with hub_process("tcp://127.0.0.1:*") as (hub, url):
-            stack.enter_context(Processes(url, "agent", "tests.players:TellingAgent"))
-            stack.enter_context(Processes(url, "environment", "tests.players:TellingEnvironment"))
+            stack.enter_context(Processes(url, "agent", "TellingAgent"))
+            stack.enter_context(Processes(url, "environment", "TellingEnvironment"))
             before = stack.enter_context(connect(url))
             before.rl_init()
             assert before.rl_episode()
@@ -252,8 +238,8 @@ def test_a_hub_that_is_told_to_stop_tells_every_peer(
     reason = f"the hub was stopped by {number.name}"
     with hub_process(f"ipc://{tmp_path}/hub") as (hub, url):
         with (
-            Processes(url, "agent", "tests.players:ScriptedAgent") as agent,
-            Processes(url, "environment", "tests.players:ScriptedEnvironment") as environment,
+            Processes(url, "agent", "ScriptedAgent") as agent,
+            Processes(url, "environment", "ScriptedEnvironment") as environment,
             connect(url) as glue,
         ):
             glue.rl_init()

@@ -81,6 +81,14 @@ def replay(path: Path) -> list[Moment]:
     return list(replayed_moments(open_recording(path), build_environment))
 
 
+def write_run(path: Path, run: Run, seen: Observation | None = None) -> Path:
+    """Record a run that has only begun."""
+    with TrajectoryWriter(path) as recording:
+        recording.run(run)
+        recording.start(seen or Observation([0]))
+    return path
+
+
 def record(
     path: Path, environment: Any, name: str, options: Mapping[str, Value], seed: int, steps: int
 ) -> None:
@@ -274,9 +282,7 @@ def test_a_recording_without_extras_replays_with_them(tmp_path: Path) -> None:
     seen = MinesEnvironment()
     run = Run("mines", {}, seen.env_init())
     for name, beside in (("older", None), ("newer", Talking.extras), ("other", {"coins": 4})):
-        with TrajectoryWriter(tmp_path / name) as recording:
-            recording.run(run)
-            recording.start(Observation(seen.env_start().ints, extras=beside))
+        write_run(tmp_path / name, run, Observation(seen.env_start().ints, extras=beside))
 
     def replayed(name: str) -> list[Moment]:
         return list(replayed_moments(open_recording(tmp_path / name), lambda run: Talking()))
@@ -286,32 +292,25 @@ def test_a_recording_without_extras_replays_with_them(tmp_path: Path) -> None:
         replayed("other")
 
 
-def test_other_task_spec_is_a_difference(tmp_path: Path) -> None:
-    with TrajectoryWriter(tmp_path / "a") as recording:
-        recording.run(Run("mines", {}, "VERSION of another time"))
-        recording.start(Observation([0]))
-    with pytest.raises(
-        Difference, match="the task spec: expected 'VERSION of another time', got 'VERSION RL"
-    ):
-        replay(tmp_path / "a")
-
-
 @pytest.mark.parametrize("name", ["", "evil.py:Evil", "os:stat_result", "gymnasium:CartPole-v1"])
 def test_recording_can_only_name_installed_environments(tmp_path: Path, name: str) -> None:
-    with TrajectoryWriter(tmp_path / "a") as recording:
-        recording.run(Run(name, {}, ""))
-        recording.start(Observation([0]))
     with pytest.raises(NotInstalled) as refused:
-        replay(tmp_path / "a")
+        replay(write_run(tmp_path / "a", Run(name, {}, "")))
     assert refused.value.name == name
 
 
-def test_recording_with_an_option_that_its_environment_has_not_is_refused(tmp_path: Path) -> None:
-    with TrajectoryWriter(tmp_path / "a") as recording:
-        recording.run(Run("mines", {"length": 3}, ""))
-        recording.start(Observation([0]))
-    with pytest.raises(ConfigError, match="length"):
-        replay(tmp_path / "a")
+@pytest.mark.parametrize(
+    ("options", "kind", "why"),
+    [
+        ({}, Difference, "the task spec: expected 'VERSION of another time', got 'VERSION RL"),
+        ({"length": 3}, ConfigError, "length"),
+    ],
+)
+def test_other_task_spec_is_a_difference_and_an_option_that_there_is_not_is_refused(
+    tmp_path: Path, options: dict[str, Value], kind: type[Exception], why: str
+) -> None:
+    with pytest.raises(kind, match=why):
+        replay(write_run(tmp_path / "a", Run("mines", options, "VERSION of another time")))
 
 
 def test_environments_are_cleaned_up_at_the_end_and_at_a_difference(tmp_path: Path) -> None:

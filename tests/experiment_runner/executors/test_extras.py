@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.cli.plot import plot
@@ -158,15 +158,18 @@ def test_an_attempt_that_became_void_leaves_nothing() -> None:
     assert reading.values == {"climbing.height": 4.0}
 
 
+def measured(out: Path, *metrics: str) -> Result:
+    """Run both episodes twice, by the command, with these metrics."""
+    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:Still")
+    options = (*(f"--metric={metric}" for metric in metrics), "--in-process", f"--out={out}")
+    result = CliRunner().invoke(experiment, [*names, "--episodes=4", *options], standalone_mode=False)
+    assert result.exception is None
+    return result
+
+
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """A run of both episodes, twice, by the command."""
-    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:Still")
-    metrics = ("Climbing.height=max", "steps=sum")
-    options = ("--episodes=4", "--in-process", f"--out={tmp_path / 'run'}")
-    command = [*names, *(f"--metric={metric}" for metric in metrics), *options]
-    result = CliRunner().invoke(experiment, command, standalone_mode=False)
-    assert result.exception is None
+    measured(tmp_path / "run", "Climbing.height=max", "steps=sum")
     return tmp_path / "run"
 
 
@@ -185,10 +188,8 @@ def test_a_run_has_a_column_for_each_extra(run: Path) -> None:
 
 
 def test_a_metric_of_another_label_than_any_here_is_named_at_the_end(tmp_path: Path) -> None:
-    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:Still")
-    metrics = ("--metric=Climbign.height=max", "--metric=Climbing.steps=sum", "--metric=Climbing.hight=max")
-    command = [*names, *metrics, "--episodes=2", "--in-process", f"--out={tmp_path / 'run'}"]
-    result = CliRunner().invoke(experiment, command, standalone_mode=False)
+    metrics = ("Climbign.height=max", "Climbing.steps=sum", "Climbing.hight=max")
+    result = measured(tmp_path / "run", *metrics)
     said = "metric Climbign.height never had a value: no such extra came from Climbing"
     assert [line for line in result.output.splitlines() if "never had" in line] == [said]
     assert said in CliRunner().invoke(results_command, ["show", str(tmp_path / "run")]).output

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -45,14 +46,8 @@ def test_plan_of_the_manual_expands_to_every_combination() -> None:
 
 def test_trials_of_one_combination_stand_together() -> None:
     assert [spec.id for spec in parse_plan(SMALL).expand()] == [
-        "random/mario/level_seed=121/0",
-        "random/mario/level_seed=121/1",
-        "random/mario/level_seed=122/0",
-        "random/mario/level_seed=122/1",
-        "textbook/mario/level_seed=121/0",
-        "textbook/mario/level_seed=121/1",
-        "textbook/mario/level_seed=122/0",
-        "textbook/mario/level_seed=122/1",
+        f"{agent}/mario/level_seed={seed}/{number}"
+        for agent, seed, number in product(("random", "textbook"), (121, 122), (0, 1))
     ]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any
 
@@ -61,6 +61,7 @@ class Rig:
         self.hub = hub
         self.url = hub.endpoints[0]
         self.log = log
+        self.experiments = ExitStack()
         self._context = context
         self._ports = {port.session: port.port for port in gateway.ports}
         self._threads: list[threading.Thread] = []
@@ -75,15 +76,14 @@ class Rig:
         return Connection(self.port(session), style)
 
     def experiment(self, style: Style = C, session: str = "default") -> OriginalExperiment:
-        """Connect as an original experiment."""
-        return OriginalExperiment(self.connect(style, session))
+        """Connect as an original experiment, which leaves before the hub ends."""
+        return self.experiments.enter_context(OriginalExperiment(self.connect(style, session)))
 
     def settle(self) -> None:
         """Wait until the hub has acted on everything it has received so far."""
-        aside = self.experiment(session=_ASIDE)
-        for _ in range(2):
-            aside.rl_num_steps()
-        aside.close()
+        with OriginalExperiment(self.connect(session=_ASIDE)) as aside:
+            for _ in range(2):
+                aside.rl_num_steps()
 
     def wait_until_empty(self, session: str) -> None:
         """Wait until a session has no peers any more.
@@ -147,7 +147,7 @@ def gateway(
         ports = [LegacyPort(0, session) for session in (*(sessions or ("default",)), _ASIDE)]
         rig = Rig(hub, Gateway(hub, ports, log), context, log)
         try:
-            with hub.in_background():
+            with hub.in_background(), rig.experiments:
                 yield rig
         finally:
             rig.join()

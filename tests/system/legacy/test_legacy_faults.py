@@ -104,7 +104,6 @@ def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(
     send_another(rig, mortal)
     assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
     assert (glue.rl_num_steps(), glue.rl_num_episodes(), glue.rl_return()) == (5, 1, 5.0)
-    glue.close()
 
 
 @pytest.mark.parametrize("mortal", MORTALS)
@@ -118,13 +117,9 @@ def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_
     assert glue.rl_step().terminal == glue.rl_step().terminal == 0
     with pytest.raises(ConnectionResetError):
         glue.rl_step()
-    glue.close()
     rig.log.wait_for("was cut off: its protocol cannot say that RL_STEP failed")
     send_another(rig, mortal)
-    glue = rig.experiment()
-    glue.rl_init()
-    assert glue.rl_episode(0) == 1
-    glue.close()
+    play(rig)
 
 
 @pytest.mark.parametrize("request_id", [Id.RL_INIT, Id.RL_START, Id.RL_CLEANUP, Id.RL_ENV_MESSAGE])
@@ -140,7 +135,6 @@ def test_any_call_that_can_be_made_anew_is(rig: Rig, request_id: Id) -> None:
     environment.reset()
     rig.originals(FiveStepEnvironment())
     assert glue.connection.receive()[0] == request_id
-    glue.close()
 
 
 ONE = pack(Action([1]))
@@ -328,7 +322,6 @@ def test_a_second_of_a_role_is_turned_away_and_the_first_stays(rig: Rig, role: I
     rig.log.wait_for("refused a peer of session 'default'")
     assert glue.rl_step().terminal == 0
     assert glue.rl_agent_message("still there") == "still there|1.|still there"
-    glue.close()
 
 
 @pytest.mark.parametrize("role", [None, *ROLES])
@@ -360,7 +353,6 @@ def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_ru
     rig.originals(MirrorAgent())
     assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
     assert glue.rl_num_steps() == 3
-    glue.close()
 
 
 def test_an_answer_without_a_call_is_a_fault(rig: Rig) -> None:
@@ -388,8 +380,7 @@ def let_our_environment_raise() -> None:
 
 def test_a_step_ends_the_wait_for_the_end_of_a_text(rig: Rig) -> None:
     rig.originals(MirrorAgent(), FiveStepEnvironment())
-    with closing(rig.connect()) as glue:
-        glue.send(Id.EXPERIMENT_CONNECTION)
+    with closing(join(rig, Id.EXPERIMENT_CONNECTION)) as glue:
         glue.send(Id.RL_INIT)
         glue.receive()
         glue.send(Id.RL_START)
@@ -439,7 +430,6 @@ def test_an_experiment_that_does_not_read_is_not_answered_any_further(rig: Rig) 
         message_id, payload = glue.connection.receive()
         assert (message_id, len(payload)) == (Id.RL_ENV_START, 12 + 8 * 100_000)
     assert len(calls) == count
-    glue.close()
 
 
 class BigEnvironment(ScriptedEnvironment):
@@ -474,13 +464,13 @@ def test_a_hub_that_ends_lets_an_agent_finish_its_thought() -> None:
 
 def test_a_hub_that_ends_does_not_wait_forever() -> None:
     with gateway() as rig:
-        agent, silent = join(rig, Id.AGENT_CONNECTION), rig.connect()
-        glue = rig.experiment()
-        glue.connection.send(Id.RL_AGENT_START, EMPTY)
+        agent, experiment = join(rig, Id.AGENT_CONNECTION), join(rig, Id.EXPERIMENT_CONNECTION)
+        silent = rig.connect()
+        experiment.send(Id.RL_AGENT_START, EMPTY)
         agent.receive()
     assert ending(agent) == TERMINATE
     assert ending(silent) == b""
-    assert_reset(glue.connection)
+    assert_reset(experiment)
 
 
 # Errors of the gateway itself, its log, and its share of the hub's memory: no other session notices them.
@@ -508,19 +498,17 @@ def check_ended(connection: Connection) -> None:
 
 
 def play(rig: Rig) -> None:
-    """Play an episode in the session without the fault."""
-    experiment = rig.experiment()
-    experiment.rl_init()
-    assert experiment.rl_episode(0) == 1
-    experiment.close()
+    """Play an episode in the session without a fault."""
+    with rig.experiment() as glue:
+        glue.rl_init()
+        assert glue.rl_episode(0) == 1
 
 
 @pytest.mark.parametrize("role", [Id.AGENT_CONNECTION, Id.EXPERIMENT_CONNECTION])
 def test_an_error_in_a_handler_costs_its_connection_and_role_alone(
     pair: Rig, role: Id, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    connection = pair.connect(session=FAULTY)
-    connection.send(role)
+    connection = join(pair, role, FAULTY)
     pair.log.wait_for("joined", times=3)
     with monkeypatch.context() as patch:
         patch.setattr(LegacyPlayer if role is Id.AGENT_CONNECTION else LegacyExperiment, "_work", raise_fault)
@@ -543,8 +531,7 @@ def test_an_error_in_a_delivery_costs_the_receiver_and_not_the_sender(
         return deliver(player, message)
 
     monkeypatch.setattr(LegacyPlayer, "_take", take)
-    agent = pair.connect(session=FAULTY)
-    agent.send(Id.AGENT_CONNECTION)
+    agent = join(pair, Id.AGENT_CONNECTION, FAULTY)
     pair.log.wait_for("joined", times=3)
     with pair.native(FAULTY) as experiment:
         # All have joined; from now on the hub waits only briefly for one that cannot be reached.
@@ -568,8 +555,7 @@ def test_a_body_that_is_larger_than_the_hub_takes_is_a_fault(pair: Rig) -> None:
 
 def test_bytes_of_original_programs_count_and_the_largest_holder_is_dropped(pair: Rig) -> None:
     announced = 12 + 4 * 500_000
-    program = pair.connect(session=FAULTY)
-    program.send(Id.EXPERIMENT_CONNECTION)
+    program = join(pair, Id.EXPERIMENT_CONNECTION, FAULTY)
     with suppress(ConnectionError):  # dropped before all is sent
         program.send_raw(struct.pack(">iI", Id.RL_ENV_STEP, announced) + bytes(announced - 1))
     pair.log.wait_for("was dropped: it used 1 MiB")

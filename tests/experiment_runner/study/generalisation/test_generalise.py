@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -194,10 +195,7 @@ def test_scores_are_those_of_the_level(tmp_path: Path, monkeypatch: pytest.Monke
     assert [score["level"] for score in trial["few"]] == list(range(12))
     for score in trial["few"]:
         task = LEVEL_SETS["few"].level(TASK, score["level"])
-        mario = InfiniteMario(
-            level_seed=task.level_seed, level_type=task.level_type, level_difficulty=task.level_difficulty
-        )
-        glue = local(RunRightAgent(), mario)
+        glue = local(RunRightAgent(), InfiniteMario(**asdict(task)))
         glue.rl_init()
         glue.rl_episode()
         played = glue.rl_return(), glue.rl_return() > 50, glue.rl_num_steps()
