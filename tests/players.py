@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Callable
 
 from glue.batches import read_batch_task_spec
+from glue.engine.experiment import Experiment
 from glue.plugins.loading import names
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation
@@ -21,6 +22,15 @@ Hook = Callable[[str], None]
 def installed(role: Role) -> list[str]:
     """Return the names of all agents or environments, except those that need an extra."""
     return [name for name in names(role) if not name.startswith(WITH_EXTRAS)]
+
+
+def returns(glue: Experiment, episodes: int, max_steps: int = 0) -> list[float]:
+    """Run episodes; return the return of each."""
+    found = []
+    for _ in range(episodes):
+        glue.rl_episode(max_steps)
+        found.append(glue.rl_return())
+    return found
 
 
 def nothing(call: str) -> None:

@@ -6,7 +6,6 @@ from typing import cast
 
 import numpy as np
 import numpy.typing as npt
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -39,28 +38,6 @@ def taken(*keys: int) -> sarsa.Taken:
 def values_of(table: Array) -> dict[int, float]:
     keys, values = sarsa.contents(table)
     return dict(zip(keys.tolist(), values.tolist(), strict=True))
-
-
-def test_a_value_moves_towards_its_target_by_the_step_size() -> None:
-    table = empty()
-    sarsa.update(learner(), table, taken(5), 10.0)
-    assert values_of(table) == {5: pytest.approx(0.3 * 10.0)}
-    sarsa.update(learner(), table, taken(5), 1.0)
-    assert values_of(table) == {5: pytest.approx(3.0 + 0.3 * (1.0 - 3.0))}
-
-
-def test_an_update_is_shared_out_equally_among_the_features() -> None:
-    """The sum of 1 and 2 moves towards 6 by half of the difference, a quarter through each."""
-    table = sarsa.table_of(keys_of(5, 9), np.array([1.0, 2.0]))
-    sarsa.update(learner(0.5), table, taken(5, 9), 6.0)
-    assert values_of(table) == {5: pytest.approx(1.75), 9: pytest.approx(2.75)}
-
-
-def test_nothing_taken_nothing_learned() -> None:
-    table = empty()
-    sarsa.update(learner(), table, taken(), 10.0)
-    sarsa.update(learner(learning=False), table, taken(5), 10.0)
-    assert values_of(table) == {}
 
 
 def test_the_value_of_an_action_is_the_sum_over_the_features_of_the_state() -> None:

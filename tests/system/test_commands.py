@@ -244,21 +244,14 @@ class Documented:
 
 
 _ENDLESS = """
+from agents.baselines import SkeletonAgent as Patient
 from env_server.toys import SkeletonEnvironment
-from glue import Action, Agent, Observation
+from glue import Observation
 
 
 class Endless(SkeletonEnvironment):
     def env_step(self, action):
         return 1.0, Observation(ints=[1]), False
-
-
-class Patient(Agent):
-    def agent_start(self, observation):
-        return Action(ints=[0])
-
-    def agent_step(self, reward, observation):
-        return Action(ints=[0])
 
 
 class Broken(Patient):

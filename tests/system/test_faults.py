@@ -19,7 +19,7 @@ from glue.client.experiment import RemoteExperiment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from tests.forked import Recorded
-from tests.hubs import serving
+from tests.hubs import hub_with, serving
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.proof import size
 from tests.scripted.peer import TIMEOUT
@@ -260,13 +260,11 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
             return super().env_step(action)
 
     agent = "from glue_rl.commands import agent; agent()"
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0, greeting=60.0))
-    with hub.in_background(), ExitStack() as ending:
-        (url,) = hub.endpoints
-        ending.enter_context(serving(url, Walk()))
-        ending.callback(hub.stop, "over")
-        process = ending.enter_context(running("-c", agent, "skeleton", "--hub", url))
-        glue = ending.enter_context(connect(url))
+    with (
+        hub_with(Walk(), heartbeat=HEARTBEAT, timeout=60.0) as url,
+        running("-c", agent, "skeleton", "--hub", url) as process,
+        connect(url) as glue,
+    ):
         glue.rl_init()
         with pytest.raises(PeerLost, match=r"the agent skeleton left: interrupted"):
             play_on(glue)

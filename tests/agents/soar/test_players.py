@@ -12,11 +12,12 @@ import pytest
 from agents.soar.agents import SoarAgent, SoarHierarchicalAgent, SoarMinesAgent, SoarPlayer, parse_rules
 from agents.soar.kernel import SoarError
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
-from glue import Action, ConfigError, Experiment, GlueError, Observation, SaveError, check_agent, local
+from glue import Action, ConfigError, GlueError, Observation, SaveError, check_agent, local
 from glue.plugins.loading import find, names
 from glue.saves import Saved, pack, unpack
 from glue.wire.messages import Role
 from tests.contract.test_installed_players import observe
+from tests.players import returns
 
 pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
 
@@ -41,14 +42,6 @@ def productions(tmp_path: Path) -> Write:
     return written
 
 
-def returns(glue: Experiment, episodes: int) -> list[float]:
-    found = []
-    for _ in range(episodes):
-        glue.rl_episode(500)
-        found.append(glue.rl_return())
-    return found
-
-
 def begun(agent: SoarPlayer, task_spec: str = SKELETON) -> SoarPlayer:
     agent.agent_init(task_spec)
     return agent
@@ -64,7 +57,7 @@ def test_ones_own_productions_play_any_task(productions: Write) -> None:
 def test_the_example_learns_the_way_across_the_mines() -> None:
     with local(SoarMinesAgent(), MinesEnvironment()) as glue:
         glue.rl_init(seed=1)
-        learned = returns(glue, 400)
+        learned = returns(glue, 400, 500)
     assert sum(learned[-50:]) / 50 > sum(learned[:50]) / 50 + 20
 
 
@@ -186,9 +179,9 @@ def test_five_thousand_episodes_leave_nothing_behind() -> None:
     agent = SoarMinesAgent()
     with local(agent, MinesEnvironment()) as glue:
         glue.rl_init(seed=1)
-        returns(glue, 1000)
+        returns(glue, 1000, 500)
         learned = in_use(agent)
-        returns(glue, 4000)
+        returns(glue, 4000, 500)
         assert in_use(agent) == learned
 
 

@@ -189,7 +189,7 @@ def test_first_difference_is_told_and_names_the_number(
 GOOD_RUN = golden_lines("variants.jsonl.gz")[0] | {"id": "a", "obs": "hash"}
 START = {"kind": "start", "episode": 0, "keys": [0, 0, 0, 0], "h": "0" * 16}
 STEP = {"kind": "step", "a": [1, 0, 0], "r": 0.5, "end": 0, "h": "0" * 16}
-END = {"kind": "end"}
+LEVEL = golden_lines("levels.jsonl.gz", 1)[0]
 
 
 @pytest.mark.parametrize(
@@ -217,6 +217,12 @@ END = {"kind": "end"}
         ([GOOD_RUN, START, STEP | {"a": [2**40]}], "line 3: ints must be"),
         ([GOOD_RUN, START, STEP | {"end": 2}], "line 3: field 'end' must be 0 or 1"),
         ([GOOD_RUN, START, STEP | {"r": None}], "line 3: field 'r' must be float or int"),
+        ([GOOD_RUN, START, LEVEL], "line 3: a line 'level' cannot stand here"),
+        ([LEVEL | {"width": "370"}], "line 1: field 'width' must be int"),
+        ([LEVEL | {"rows": [0]}], "line 1: field 'rows' must be a list of str"),
+        ([LEVEL | {"sprites": [[1, 2, 3]]}], "line 1: field 'sprites' must be a list of .column, row"),
+        ([LEVEL | {"sprites": [[1, 2, "a", 0]]}], "line 1: field 'sprites' must be a list of"),
+        ([LEVEL | {"level_seed": None}], "line 1: field 'level_seed' must be int"),
     ],
 )
 def test_malformed_recording_of_the_original_is_told_by_its_line(
@@ -339,9 +345,6 @@ def test_hashes_alone_cannot_be_shown(tmp_path: Path) -> None:
         list(recorded_moments(open_recording(path)))
 
 
-LEVEL = golden_lines("levels.jsonl.gz", 1)[0]
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -361,22 +364,6 @@ def test_level_that_differs_is_told_by_what_differs(
     task = "level_seed=12. level_type=0 level_difficulty=0 level_width=320"
     with pytest.raises(Difference, match=f"^{task}: the level's {message}"):
         replay(path)
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ([GOOD_RUN, START, LEVEL], "line 3: a line 'level' cannot stand here"),
-        ([LEVEL | {"width": "370"}], "line 1: field 'width' must be int"),
-        ([LEVEL | {"rows": [0]}], "line 1: field 'rows' must be a list of str"),
-        ([LEVEL | {"sprites": [[1, 2, 3]]}], "line 1: field 'sprites' must be a list of .column, row"),
-        ([LEVEL | {"sprites": [[1, 2, "a", 0]]}], "line 1: field 'sprites' must be a list of"),
-        ([LEVEL | {"level_seed": None}], "line 1: field 'level_seed' must be int"),
-    ],
-)
-def test_malformed_level_is_told_by_its_line(tmp_path: Path, lines: list[Any], message: str) -> None:
-    with pytest.raises(TrajectoryError, match=message):
-        exhaust(GoldenReader(write_golden(tmp_path / "a", lines)))
 
 
 def test_level_out_of_bounds_is_refused_with_the_bound(tmp_path: Path) -> None:

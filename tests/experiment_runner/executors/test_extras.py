@@ -26,11 +26,12 @@ from experiment_runner.store.run_data import episode_table, load_run
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import ConfigError, ExperimentError
-from glue.roles import Agent, Environment
+from glue.roles import Environment
 from glue.trajectory import TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation, Step
 from tests.experiment_runner.executors.test_trial import play
 from tests.hubs import over_the_hub
+from tests.players import ScriptedAgent
 
 HEIGHTS = ((2.0, 5.0, 1.0), (4.0, -1.0))
 
@@ -61,16 +62,6 @@ class Climbing(Environment):
         return Step(0.0, Observation([self._step], extras=extras), over)
 
 
-class Still(Agent):
-    """Does nothing."""
-
-    def agent_start(self, observation: Observation) -> Action:
-        return Action()
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        return Action()
-
-
 Glue = Callable[[Any, Environment], AbstractContextManager[Experiment]]
 SPEC = TrialSpec(TrialId("t"), None, RoleSpec("climbing"), 2, 0, 1)
 PLAN: dict[str, Summary] = {"climbing.height": "max", "steps": "last", "other.height": "min"}
@@ -82,7 +73,7 @@ def test_each_episode_has_a_number_of_each_extra(glue: Glue, records: bool, tmp_
     path = tmp_path / "recording"
     with (
         TrajectoryWriter(path) if records else nullcontext() as writer,
-        glue(Still(), Climbing()) as connected,
+        glue(ScriptedAgent(), Climbing()) as connected,
     ):
         kept = play(connected, spec=SPEC, recording=writer, extras=PLAN, metrics=MetricsPlan(2))
     assert [reading for reading in kept.readings if TOTAL_REWARD not in reading.values] == [
@@ -144,7 +135,7 @@ def test_an_environment_may_put_its_name_before_an_extras(label: str, name: str,
 
 
 def test_an_attempt_that_became_void_leaves_nothing() -> None:
-    with local(Still(), Climbing()) as glue:
+    with local(ScriptedAgent(), Climbing()) as glue:
         glue.rl_init(1)
         meter = Meter(glue, None, extras=Extras({"height": "max"}, "climbing"))
         meter.begin()
@@ -160,7 +151,7 @@ def test_an_attempt_that_became_void_leaves_nothing() -> None:
 
 def measured(out: Path, *metrics: str) -> Result:
     """Run both episodes twice, by the command, with these metrics."""
-    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:Still")
+    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:ScriptedAgent")
     options = (*(f"--metric={metric}" for metric in metrics), "--in-process", f"--out={out}")
     result = CliRunner().invoke(experiment, [*names, "--episodes=4", *options], standalone_mode=False)
     assert result.exception is None
