@@ -37,6 +37,21 @@ def nothing(call: str) -> None:
     """Do nothing."""
 
 
+class At:
+    """A hook that acts once: when the call `call` comes for the `count`th time."""
+
+    def __init__(self, call: str, count: int, act: Callable[[], None]) -> None:
+        self._call = call
+        self._left = count
+        self._act = act
+
+    def __call__(self, call: str) -> None:
+        if call.startswith(self._call):
+            self._left -= 1
+            if self._left == 0:
+                self._act()
+
+
 class ScriptedEnvironment(Environment):
     """Shows the number of steps, rewards each step with `reward`, and ends at step `length`.
 

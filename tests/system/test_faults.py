@@ -20,7 +20,7 @@ from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from tests.forked import Recorded
 from tests.hubs import hub_with, serving
-from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
+from tests.players import At, ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.proof import size
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import address, main, running
@@ -53,21 +53,6 @@ class Processes:
     def latest(self) -> Recorded:
         """The process started last."""
         return self._started[-1]
-
-
-class At:
-    """Acts at one point of a run: when the call `call` comes for the `count`th time."""
-
-    def __init__(self, call: str, count: int, act: Callable[[], None]) -> None:
-        self._call = call
-        self._left = count
-        self._act = act
-
-    def __call__(self, call: str) -> None:
-        if call.startswith(self._call):
-            self._left -= 1
-            if self._left == 0:
-                self._act()
 
 
 def play(glue: Experiment) -> list[str]:

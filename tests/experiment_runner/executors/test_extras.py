@@ -23,12 +23,8 @@ from experiment_runner.plan.toml import SettingError
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.run_data import episode_table, load_run
-from glue.engine.experiment import Experiment
-from glue.engine.local import local
-from glue.errors import ConfigError, ExperimentError
-from glue.roles import Environment
+from glue import Action, ConfigError, Environment, Experiment, ExperimentError, Observation, Step, local
 from glue.trajectory import TrajectoryReader, TrajectoryWriter
-from glue.types import Action, Observation, Step
 from tests.experiment_runner.executors.test_trial import play
 from tests.hubs import over_the_hub
 from tests.players import ScriptedAgent

@@ -9,11 +9,12 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import replace
+from typing import NoReturn
 
 import numpy as np
 import pytest
 
-from glue import Action, Agent, Environment, HubClosed, LocalProtocolError, Observation, PeerFailed, PeerLost
+from glue import Action, HubClosed, LocalProtocolError, Observation, PeerFailed, PeerLost
 from glue.client.experiment import RemoteExperiment
 from glue.hub.channel import Channel
 from glue.hub.config import HubConfig, LegacyPort
@@ -23,14 +24,13 @@ from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPlayer
 from glue.wire.messages import Kind, Message
 from tests import weighing
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.players import At, ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_client import TIMEOUT, Closed, Connection, Die, Id, OriginalExperiment, pack
 from tests.system.legacy.legacy_rig import Log, Rig, gateway
 
 ROLES = (Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION)
 EMPTY = pack(Action())
-HEALTHY = (MirrorAgent, FiveStepEnvironment)
 TERMINATE = struct.pack(">iI", Id.RL_TERM, 0)
 
 
@@ -61,56 +61,41 @@ def run_test_1(rig: Rig) -> None:
     rig.join()
 
 
-class MortalAgent(MirrorAgent):
-    """Dies in its third step."""
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        if self._counter == 2:
-            raise Die
-        return super().agent_step(reward, observation)
+def die() -> NoReturn:
+    raise Die
 
 
-class MortalEnvironment(FiveStepEnvironment):
-    """Dies in its third step."""
-
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        if self._counter == 2:
-            raise Die
-        return super().env_step(action)
+STEPS = ("agent_step", "env_step")
 
 
-MORTALS = (MortalAgent, MortalEnvironment)
+def let_die(rig: Rig, step: str) -> None:
+    """Let two original players play, of which one dies in its third step."""
+    before = At(step, 3, die)
+    rig.originals(ScriptedAgent(before=before), ScriptedEnvironment(5, before=before))
 
 
-def let_die(rig: Rig, mortal: type[Agent | Environment]) -> None:
-    """Let two original players play, one of them mortal."""
-    rig.originals(*(mortal() if issubclass(mortal, each) else each() for each in HEALTHY))
+def send_another(rig: Rig, step: str) -> None:
+    """Let a healthy player replace the one that died."""
+    rig.originals(ScriptedAgent() if step == "agent_step" else ScriptedEnvironment(5))
 
 
-def send_another(rig: Rig, mortal: type[Agent | Environment]) -> None:
-    """Let a healthy player replace the mortal one."""
-    rig.originals(*(each() for each in HEALTHY if issubclass(mortal, each)))
-
-
-@pytest.mark.parametrize("mortal", MORTALS)
-def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(
-    rig: Rig, mortal: type[Agent | Environment]
-) -> None:
-    let_die(rig, mortal)
+@pytest.mark.parametrize("step", STEPS)
+def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(rig: Rig, step: str) -> None:
+    let_die(rig, step)
     glue = rig.experiment()
     glue.rl_init()
     glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
     rig.log.wait_for("to begin RL_EPISODE again")
-    send_another(rig, mortal)
+    send_another(rig, step)
     assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
     assert (glue.rl_num_steps(), glue.rl_num_episodes(), glue.rl_return()) == (5, 1, 5.0)
 
 
-@pytest.mark.parametrize("mortal", MORTALS)
+@pytest.mark.parametrize("step", STEPS)
 def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_stays(
-    rig: Rig, mortal: type[Agent | Environment]
+    rig: Rig, step: str
 ) -> None:
-    let_die(rig, mortal)
+    let_die(rig, step)
     glue = rig.experiment()
     glue.rl_init()
     glue.rl_start()
@@ -118,7 +103,7 @@ def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_
     with pytest.raises(ConnectionResetError):
         glue.rl_step()
     rig.log.wait_for("was cut off: its protocol cannot say that RL_STEP failed")
-    send_another(rig, mortal)
+    send_another(rig, step)
     play(rig)
 
 
