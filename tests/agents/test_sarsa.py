@@ -21,10 +21,10 @@ def empty() -> Array:
     return sarsa.table_of(keys_of(), np.empty(0))
 
 
-def learner(step_size: float = 0.3, learning: bool = True) -> sarsa.Learner:
+def learner() -> sarsa.Learner:
     learners = new(sarsa.Learner)
-    learners["step_size"] = step_size
-    learners["learning"] = learning
+    learners["step_size"] = 0.3
+    learners["learning"] = True
     return cast(sarsa.Learner, learners[0])
 
 

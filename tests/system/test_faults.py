@@ -75,11 +75,8 @@ def play_on(glue: Experiment) -> NoReturn:
 class Run:
     """A hub with an experiment, one player in a process and the other in a thread."""
 
-    def __init__(self, timeout: float) -> None:
-        config = HubConfig(
-            bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=timeout, greeting=TIMEOUT
-        )
-        self.hub = Hub(config)
+    def __init__(self) -> None:
+        self.hub = Hub(HubConfig(("tcp://127.0.0.1:*",), HEARTBEAT, timeout=1.0, greeting=TIMEOUT))
         self.notices: list[tuple[str, str]] = []
         self.on_notice: dict[str, Callable[[], None]] = {}
 
@@ -118,7 +115,7 @@ def calls(glue: Experiment, role: str) -> list[str]:
 @pytest.mark.parametrize("role", CASES)
 def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
-    run = Run(timeout=1.0)
+    run = Run()
     kill = At(moment, 5, lambda: os.kill(processes.latest.pid, signal.SIGKILL))
     with run.experiment(role, player, partner(before=kill)) as (glue, processes):
         run.on_notice["lost"] = processes.start
@@ -134,7 +131,7 @@ def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role
 @pytest.mark.parametrize("role", CASES)
 def test_a_player_cut_off_for_longer_than_the_timeout_returns_as_it_was(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
-    run = Run(timeout=1.0)
+    run = Run()
     proxy = Proxy(run.hub.endpoints[0])
     shut = At(moment, 5, proxy.shut)
     with proxy.in_background(), run.experiment(role, player, partner(before=shut), proxy.url) as (glue, _):

@@ -7,15 +7,13 @@ import pytest
 from agents.mario import objects
 from agents.mario.observation import COIN, FIREBALL, GOOMBA, MUSHROOM, OUTSIDE, PLANT, RED_KOOPA, SOLID, tile
 from glue.types import Observation
-from tests.agents.screens import Watcher, draw
+from tests.agents.screens import Watcher, draw, watched
 
 GROUND = "7" * 21
 
 
 def test_rows_are_counted_from_the_bottom_and_columns_from_the_level() -> None:
-    watcher = Watcher()
-    watcher(draw(" M  $", GROUND, camera=40))
-    screen = watcher.screen
+    screen = watched(draw(" M  $", GROUND, camera=40)).screen
     assert (screen.column, screen.row) == (41, 1)
     assert tile(screen, 44, 1) == COIN
     assert tile(screen, 44, 0) == SOLID
@@ -25,9 +23,7 @@ def test_rows_are_counted_from_the_bottom_and_columns_from_the_level() -> None:
 
 
 def test_the_tile_that_mario_hides_reads_as_blank() -> None:
-    watcher = Watcher()
-    watcher(draw(" M", GROUND))
-    assert tile(watcher.screen, 1, 1) == ord(" ")
+    assert tile(watched(draw(" M", GROUND)).screen, 1, 1) == ord(" ")
 
 
 # Monsters
@@ -268,12 +264,8 @@ def test_what_is_not_a_pit(rows: tuple[str, ...]) -> None:
     ],
 )
 def test_the_tile_above_is_four_rows_over_the_floor(rows: tuple[str, ...], above: str) -> None:
-    watcher = Watcher()
-    watcher(draw(*rows))
-    assert chr(objects.tile_above(watcher.screen)) == (above or "\0")
+    assert chr(objects.tile_above(watched(draw(*rows)).screen)) == (above or "\0")
 
 
 def test_a_mario_far_above_the_screen_is_no_trouble() -> None:
-    watcher = Watcher()
-    watcher(draw(GROUND, at=(1.5, 2.0e9)))
-    assert objects.tile_above(watcher.screen) == ord(" ")
+    assert objects.tile_above(watched(draw(GROUND, at=(1.5, 2.0e9))).screen) == ord(" ")

@@ -88,37 +88,28 @@ def test_a_file_that_is_not_there_and_none_at_all_are_named(tmp_path: Path) -> N
     assert caught.value.settings == ("productions",)
 
 
-def test_an_agent_that_never_acts_is_stopped_with_its_goal_stack(productions: Write) -> None:
-    agent = begun(productions("sp {idle\n (state <s> ^superstate nil)\n-->\n (<s> ^a b)\n}\n"))
-    with pytest.raises(SoarError, match=r"no command .* in 30 decision cycles(.|\n)*state no-change"):
-        agent.agent_start(Observation([10]))
-
-
-def test_an_agent_that_halts_is_stopped(productions: Write) -> None:
-    halts = "sp {stop\n (state <s> ^superstate nil ^io.input-link.observation.int-1 10)\n-->\n (halt)\n}\n"
-    agent = begun(productions(halts))
-    with pytest.raises(SoarError, match="halted in the middle of an episode"):
-        agent.agent_start(Observation([10]))
+IDLE = "sp {idle\n (state <s> ^superstate nil)\n-->\n (<s> ^a b)\n}\n"
+HALTS = "sp {stop\n (state <s> ^superstate nil ^io.input-link.observation.int-1 10)\n-->\n (halt)\n}\n"
+LEARNS = "sp {learn\n (state <s> ^superstate nil ^io.input-link.step)\n-->\n (exec once |sp {wrong|)\n}\n"
 
 
 @pytest.mark.parametrize(
-    ("sends", "complaint"),
-    [("^int-1 7", "int 0 is 7"), ("^int-2 1", r"has \^int-1; .*\^int-2 1"), ("^int-1 up", "up")],
+    ("text", "complaint"),
+    [
+        (IDLE, r"no command .* in 30 decision cycles(.|\n)*state no-change"),
+        (HALTS, "halted in the middle of an episode"),
+        (UP + LEARNS, "wrong"),  # a command in `once` that Soar refuses
+        # Actions that the task does not have.
+        (UP.replace("^int-1 1", "^int-1 7"), "int 0 is 7"),
+        (UP.replace("^int-1 1", "^int-2 1"), r"has \^int-1; .*\^int-2 1"),
+        (UP.replace("^int-1 1", "^int-1 up"), "up"),
+    ],
 )
-def test_an_action_that_the_task_does_not_have_is_named(
-    productions: Write, sends: str, complaint: str
+def test_productions_that_do_not_act_as_they_must_are_stopped(
+    productions: Write, text: str, complaint: str
 ) -> None:
-    agent = begun(productions(UP.replace("^int-1 1", sends)))
+    agent = begun(productions(text))
     with pytest.raises(SoarError, match=complaint):
-        agent.agent_start(Observation([10]))
-
-
-def test_a_command_in_once_that_soar_refuses_is_reported(productions: Write) -> None:
-    wrong = (
-        UP + "sp {learn\n (state <s> ^superstate nil ^io.input-link.step)\n-->\n (exec once |sp {wrong|)\n}\n"
-    )
-    agent = begun(productions(wrong))
-    with pytest.raises(SoarError, match="wrong"):
         agent.agent_start(Observation([10]))
 
 

@@ -98,10 +98,10 @@ class Rig:
         """Connect as one of our experiments."""
         return connect(self.url, session, context=self._context)
 
-    def originals(self, *players: Agent | Environment, style: Style = C, session: str = "default") -> None:
+    def originals(self, *players: Agent | Environment, style: Style = C) -> None:
         """Let players play as original programs, each in a thread."""
         for player in players:
-            self._start(partial(play, player, self.connect(style, session)))
+            self._start(partial(play, player, self.connect(style)))
 
     def ours(self, *players: Agent | Environment, session: str = "default") -> None:
         """Let our players play, each in a thread."""
