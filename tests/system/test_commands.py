@@ -399,7 +399,7 @@ MISTAKES = {
     "no key, of a subcommand": ("glue-compete board . --signed-by nowhere", "(--signed-by)"),
     "two options at once": ("glue-hub --legacy-port 0.0.0.0:4096", "(--legacy-port, --insecure)"),
     "no file to load": (f"{WATCH_MINES} --load nothing.agent", "cannot read nothing.agent"),
-    "a file that is no save": (f"{WATCH_MINES} --load /dev/null", "save is damaged"),
+    "a file that is no save": (f"{WATCH_MINES} --load /etc/passwd", "are not a save of agent sarsa"),
     "no speed": (f"{WATCH_MINES} --speed 0", "0.1<=x<=1000"),
     "marks that nobody draws": (f"{WATCH_MINES} --plan", "leave --plan out"),
     "no films of this": (f"{WATCH_MINES} --gif a.gif", "there are no films of MinesEnvironment"),

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
+from agents.mario.runner import RunRightAgent
 from experiment_runner.cli.experiment import experiment
 from experiment_runner.cli.plot import plot
 from experiment_runner.cli.results import results as results_command
@@ -27,7 +28,6 @@ from glue import Action, ConfigError, Environment, Experiment, ExperimentError, 
 from glue.trajectory import TrajectoryReader, TrajectoryWriter
 from tests.experiment_runner.executors.test_trial import play
 from tests.hubs import over_the_hub
-from tests.players import ScriptedAgent
 
 HEIGHTS = ((2.0, 5.0, 1.0), (4.0, -1.0))
 
@@ -69,7 +69,7 @@ def test_each_episode_has_a_number_of_each_extra(glue: Glue, records: bool, tmp_
     path = tmp_path / "recording"
     with (
         TrajectoryWriter(path) if records else nullcontext() as writer,
-        glue(ScriptedAgent(), Climbing()) as connected,
+        glue(RunRightAgent(), Climbing()) as connected,
     ):
         kept = play(connected, spec=SPEC, recording=writer, extras=PLAN, metrics=MetricsPlan(2))
     assert [reading for reading in kept.readings if TOTAL_REWARD not in reading.values] == [
@@ -131,7 +131,7 @@ def test_an_environment_may_put_its_name_before_an_extras(label: str, name: str,
 
 
 def test_an_attempt_that_became_void_leaves_nothing() -> None:
-    with local(ScriptedAgent(), Climbing()) as glue:
+    with local(RunRightAgent(), Climbing()) as glue:
         glue.rl_init(1)
         meter = Meter(glue, None, extras=Extras({"height": "max"}, "climbing"))
         meter.begin()
@@ -147,7 +147,7 @@ def test_an_attempt_that_became_void_leaves_nothing() -> None:
 
 def measured(out: Path, *metrics: str) -> Result:
     """Run both episodes twice, by the command, with these metrics."""
-    names = (f"--env={__file__}:Climbing", f"--agent={__file__}:ScriptedAgent")
+    names = (f"--env={__file__}:Climbing", "--agent=run-right")
     options = (*(f"--metric={metric}" for metric in metrics), "--in-process", f"--out={out}")
     result = CliRunner().invoke(experiment, [*names, "--episodes=4", *options], standalone_mode=False)
     assert result.exception is None

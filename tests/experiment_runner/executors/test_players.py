@@ -18,7 +18,7 @@ from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from glue import Action, Observation, Step, observe, serve_agent, serve_environment
+from glue import Action, Agent, Observation, Step, observe, serve_agent, serve_environment
 from glue.console import say_why_slow
 from glue.errors import GlueError, PeerFailed, PeerLost, Refused
 from glue.hub.config import LegacyPort
@@ -126,15 +126,23 @@ def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
             assert not math.isfinite(glue.rl_return())
 
 
+class Left(Agent):
+    def agent_start(self, observation: Observation) -> Action:
+        return Action([2])
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return Action([2])
+
+
 @pytest.mark.parametrize("placement", [Placement(BOTH), Placement()])
 def test_an_action_that_the_mask_forbids_ends_the_trial_if_actions_are_checked(placement: Placement) -> None:
     environment = RoleSpec("mines", {"masks": True})
-    spec = replace(REMOTE, agent=RoleSpec("skeleton"), environment=environment)
+    spec = replace(REMOTE, agent=RoleSpec(f"{__file__}:Left"), environment=environment)
     with open_experiment(
         spec, replace(placement, check_actions=True), lambda report: None, lambda: 0
     ) as glue:
         glue.rl_init(1)
-        with pytest.raises(PeerFailed, match=r"Mines.* int 0 is [01], and the mask of .* is \d{4}"):
+        with pytest.raises(PeerFailed, match=r"Mines.* int 0 is 2, and the mask of .* is \d{4}"):
             glue.rl_episode(10)
 
 
