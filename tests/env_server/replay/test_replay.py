@@ -41,7 +41,6 @@ from tests.proof import size
 from tests.terminal import run_in_terminal
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "mario"
-RIGHT = Action([1, 0, 1])
 
 
 def golden_lines(name: str, episodes: int = 3) -> list[dict[str, Any]]:
