@@ -33,6 +33,15 @@ def outcomes(glue: Experiment, episodes: int, max_steps: int = 0) -> list[tuple[
     return found
 
 
+def returns(glue: Experiment, episodes: int, max_steps: int = 0) -> list[float]:
+    """Run episodes; return the return of each."""
+    found = []
+    for _ in range(episodes):
+        glue.rl_episode(max_steps)
+        found.append(glue.rl_return())
+    return found
+
+
 def nothing(call: str) -> None:
     """Do nothing."""
 
@@ -45,6 +54,21 @@ def failing(at: str, error: BaseException) -> Hook:
             raise error
 
     return fail
+
+
+class At:
+    """A hook that acts once: when the call `call` comes for the `count`th time."""
+
+    def __init__(self, call: str, count: int, act: Callable[[], None]) -> None:
+        self._call = call
+        self._left = count
+        self._act = act
+
+    def __call__(self, call: str) -> None:
+        if call.startswith(self._call):
+            self._left -= 1
+            if self._left == 0:
+                self._act()
 
 
 class ScriptedEnvironment(Environment):

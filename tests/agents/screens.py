@@ -69,6 +69,13 @@ class Watcher:
         return cast(Screen, self.scene.view(np.recarray)[0].screen)
 
 
+def watched(observation: Observation) -> Watcher:
+    """Return a watcher that has seen a screen."""
+    watcher = Watcher()
+    watcher(observation)
+    return watcher
+
+
 def key(first: int, *others: int) -> int:
     """Return the key of a row of whole numbers."""
     found = feature(first)

@@ -7,6 +7,7 @@ import pytest
 from agents.linear import LinearAgent
 from glue import Action, Environment, LocalProtocolError, Observation, PeerFailed, Step, local
 from glue.taskspec.spaces import Box, Chars, Discrete, task_spec
+from tests.players import returns
 
 
 class Hill(Environment):
@@ -30,28 +31,24 @@ class Hill(Environment):
         return Observation(doubles=[self.place, 50 * self.speed])
 
 
-def returns(agent: LinearAgent, episodes: int, data: bytes = b"") -> list[float]:
+def played(agent: LinearAgent, episodes: int, data: bytes = b"") -> list[float]:
     with local(agent, Hill()) as glue:
         glue.rl_init(seed=3)
         if data:
             glue.rl_agent_load(data)
-        found = []
-        for _ in range(episodes):
-            glue.rl_episode(max_steps=1000)
-            found.append(glue.rl_return())
-    return found
+        return returns(glue, episodes, 1000)
 
 
 def test_it_learns_and_what_it_learned_can_be_saved() -> None:
     agent = LinearAgent()
-    learning = returns(agent, 40)
+    learning = played(agent, 40)
     assert sum(learning[-10:]) > 2 * sum(learning[:10])
     data = agent.agent_save()
-    trained = returns(LinearAgent(learning=False, epsilon=0.0), 2, data)
+    trained = played(LinearAgent(learning=False, epsilon=0.0), 2, data)
     assert trained[0] == trained[1] > learning[0]
     assert int(agent.agent_message("weights")) > 100
     with pytest.raises(PeerFailed, match="tiles=8"):
-        returns(LinearAgent(tiles=4), 1, data)
+        played(LinearAgent(tiles=4), 1, data)
 
 
 @pytest.mark.parametrize(

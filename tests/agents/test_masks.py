@@ -15,13 +15,12 @@ from agents.mario.agent import ACTIONS, legal_actions
 from agents.network.agent import NetworkAgent
 from agents.tabular import SarsaAgent, epsilon_greedy
 from env_server.toys import MinesEnvironment
-from glue.engine.local import local
-from glue.errors import RemoteProtocolError
-from glue.roles import Agent, capabilities
+from glue import Action, Agent, Observation, RemoteProtocolError, local
+from glue.roles import capabilities
 from glue.taskspec import legal_values, parse_task_spec
 from glue.taskspec.spaces import Box, Discrete, Tuple, task_spec
-from glue.types import Action, Observation
 from tests.agents.screens import draw
+from tests.players import returns
 
 DIGITS = task_spec(Discrete(10), Discrete(10, start=-3), extra="masks")
 
@@ -67,19 +66,15 @@ def test_a_mask_that_allows_everything_changes_nothing_that_is_learned(make: Any
 
 
 @pytest.mark.parametrize(
-    ("agent", "returns", "saved"),
+    ("agent", "total", "saved"),
     [(LinearAgent(epsilon=0.2), -2040.0, "e797b2cc1b38aab6"), (RandomAgent(), -2173.0, "b31c79036d7c34ee")],
 )
 def test_without_masks_agents_do_what_they_did_before_there_were_any(
-    agent: Agent, returns: float, saved: str
+    agent: Agent, total: float, saved: str
 ) -> None:
     with local(agent, MinesEnvironment(random_start=True)) as glue:
         glue.rl_init(seed=1)
-        found = []
-        for _ in range(20):
-            glue.rl_episode(200)
-            found.append(glue.rl_return())
-        assert sum(found) == returns
+        assert sum(returns(glue, 20, 200)) == total
         assert hashlib.sha256(glue.rl_agent_save()).hexdigest().startswith(saved)
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
-from glue.engine.local import local
-from glue.errors import LocalProtocolError
+from glue import LocalProtocolError, local
+from tests.players import returns
 
 _SPEC = "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS {} ACTIONS {} REWARDS (0 1)"
 
@@ -33,10 +33,6 @@ def test_the_table_learns_the_same_to_the_last_bit() -> None:
     # As recorded when the table used NumPy.
     with local(SarsaAgent(epsilon=0.2), MinesEnvironment()) as glue:
         glue.rl_init(seed=1)
-        returns = []
-        for _ in range(100):
-            glue.rl_episode(1000)
-            returns.append(glue.rl_return())
-        assert (sum(returns), glue.rl_num_steps()) == (-13848.0, 95)
+        assert (sum(returns(glue, 100, 1000)), glue.rl_num_steps()) == (-13848.0, 95)
         saved = hashlib.sha256(glue.rl_agent_save()).hexdigest()
         assert saved == "d4dac3fb62664dae32806c25fe02b23f0e2a33e87d290b6e0772a88e78816ef1"

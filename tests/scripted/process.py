@@ -49,11 +49,6 @@ def address_in(line: str) -> str:
     return listening[1]
 
 
-def peer(role: str, hub: str, player: str, libzmq: bool = False) -> list[str]:
-    """Return the arguments with which `running` starts such a process."""
-    return ["-m", "tests.scripted.process", role, hub, player, *(["libzmq"] if libzmq else [])]
-
-
 def main(role: str, hub: str, player: str, end: str = "plain") -> int:
     """Serve until the hub says goodbye."""
     serve = serve_agent if role == "agent" else serve_environment

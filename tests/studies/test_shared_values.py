@@ -13,8 +13,7 @@ from env_server.mario.environment import InfiniteMario
 from experiment_runner.executors.opening import open_run
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.study.paper.experiments import EXPERIMENTS, plan_of
-from glue.engine.local import local
-from glue.errors import SaveError
+from glue import SaveError, local
 from glue.saves import Saved, pack, unpack
 from studies.shared_values import agreements, key_of, spearman
 from studies.soar_values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values

@@ -17,9 +17,7 @@ import numpy as np
 
 from agents.baselines import SkeletonAgent
 from env_server.toys import SkeletonEnvironment
-from glue.engine.experiment import Experiment
-from glue.roles import Agent, Environment
-from glue.types import Action, Observation, Step
+from glue import Action, Agent, Environment, Experiment, Observation, Step
 
 Seen = list[Any]
 
@@ -130,30 +128,15 @@ def answer(message: str) -> str:
     return {"": "empty", "empty": ""}.get(message, message)
 
 
-class MessageAgent(Agent):
-    """A-message."""
-
-    def agent_start(self, observation: Observation) -> Action:
-        return Action()
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        return Action()
+class MessageAgent(MirrorAgent):
+    """A-message: only its messages count."""
 
     def agent_message(self, message: str) -> str:
         return answer(message)
 
 
-class MessageEnvironment(Environment):
-    """E-message."""
-
-    def env_init(self) -> str:
-        return ""
-
-    def env_start(self) -> Observation:
-        return Observation()
-
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        return 0.0, Observation(), False
+class MessageEnvironment(FiveStepEnvironment):
+    """E-message: only its messages count."""
 
     def env_message(self, message: str) -> str:
         return answer(message)

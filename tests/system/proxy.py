@@ -147,10 +147,7 @@ class Proxy:
         with suppress(OSError):
             partner.shutdown(socket.SHUT_WR)
         if partner not in self._selector.get_map():
-            for each in (source, partner):
-                del self._partner[each]
-                self._may_say.pop(each, None)
-                each.close()
+            self._close(source, abort=False)
 
     def _draw(self) -> int:
         return self._lengths.randint(1, 6000)
@@ -160,11 +157,12 @@ class Proxy:
             if one in self._partner:
                 self._close(one)
 
-    def _close(self, one: socket.socket) -> None:
+    def _close(self, one: socket.socket, abort: bool = True) -> None:
         for each in (one, self._partner[one]):
             if each in self._selector.get_map():
                 self._selector.unregister(each)
             del self._partner[each]
             self._may_say.pop(each, None)
-            each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
+            if abort:
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
             each.close()

@@ -9,7 +9,8 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +26,6 @@ COMMANDS = sorted(
     for point in importlib.metadata.entry_points(group="console_scripts")
     if point.name.startswith("glue-")
 )
-
-
-@pytest.fixture
-def terminals(tmp_path: Path) -> Iterator[list[Terminal]]:
-    opened: list[Terminal] = []
-    yield opened
-    for terminal in opened:
-        terminal.close()
-
-
-@pytest.fixture
-def hub(tmp_path: Path) -> str:
-    return f"ipc://{tmp_path}/hub"
 
 
 ENDLESS_COMMANDS = {
@@ -147,15 +135,12 @@ print(*sorted(set(sys.modules) - before))
 
 
 @pytest.mark.parametrize("command", ["glue-agent", "glue-env"])
-def test_interrupt_of_a_player_that_waits_is_one_word(
-    command: str, tmp_path: Path, terminals: list[Terminal]
-) -> None:
-    terminal = Terminal(command, *ENDLESS_COMMANDS[command], cwd=tmp_path)
-    terminals.append(terminal)
-    terminal.wait_for("no hub answers at ipc:///nowhere/hub")
-    terminal.send_signal(signal.SIGINT)
-    assert terminal.end() == 130
-    assert [line for line in terminal.lines if line][1:] == ["interrupted"]
+def test_interrupt_of_a_player_that_waits_is_one_word(command: str, tmp_path: Path) -> None:
+    with closing(Terminal(command, *ENDLESS_COMMANDS[command], cwd=tmp_path)) as terminal:
+        terminal.wait_for("no hub answers at ipc:///nowhere/hub")
+        terminal.send_signal(signal.SIGINT)
+        assert terminal.end() == 130
+        assert [line for line in terminal.lines if line][1:] == ["interrupted"]
 
 
 def test_each_command_has_help_with_examples_at_once_a_version_and_a_place_in_the_readme(
@@ -259,21 +244,14 @@ class Documented:
 
 
 _ENDLESS = """
+from agents.baselines import SkeletonAgent as Patient
 from env_server.toys import SkeletonEnvironment
-from glue import Action, Agent, Observation
+from glue import Observation
 
 
 class Endless(SkeletonEnvironment):
     def env_step(self, action):
         return 1.0, Observation(ints=[1]), False
-
-
-class Patient(Agent):
-    def agent_start(self, observation):
-        return Action(ints=[0])
-
-    def agent_step(self, reward, observation):
-        return Action(ints=[0])
 
 
 class Broken(Patient):
@@ -348,20 +326,19 @@ def test_file_in_the_working_directory_takes_no_modules_place(tmp_path: Path) ->
     assert ended.returncode == 0, ended.stderr
 
 
-def test_environment_variables_set_options(
-    tmp_path: Path, hub: str, terminals: list[Terminal], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    terminals.append(Terminal("glue-hub", "--bind", hub, cwd=tmp_path))
+def test_environment_variables_set_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hub = f"ipc://{tmp_path}/hub"
     monkeypatch.setenv("GLUE_HUB", hub)
     monkeypatch.setenv("GLUE_SESSION", "a")
     monkeypatch.setenv("GLUE_EXPERIMENT_EPISODES", "3")
-    players = [Terminal("glue-env", "mines", cwd=tmp_path), Terminal("glue-agent", "random", cwd=tmp_path)]
-    terminals += players
-    shown = run("glue-experiment", "--json", cwd=tmp_path)
-    assert shown.returncode == 0, shown.stderr
-    assert len(shown.stdout.splitlines()) == 4
-    for player in players:
-        player.wait_for(f"session 'a' at {hub}")
+    commands = ("glue-hub", "--bind", hub), ("glue-env", "mines"), ("glue-agent", "random")
+    with ExitStack() as stack:
+        _, *players = (stack.enter_context(closing(Terminal(*one, cwd=tmp_path))) for one in commands)
+        shown = run("glue-experiment", "--json", cwd=tmp_path)
+        assert shown.returncode == 0, shown.stderr
+        assert len(shown.stdout.splitlines()) == 4
+        for player in players:
+            player.wait_for(f"session 'a' at {hub}")
     # Players that an experiment starts join it and nothing else; an option on the command line comes first.
     monkeypatch.setenv("GLUE_HUB", "ipc:///nowhere/hub")
     monkeypatch.setenv("GLUE_AGENT_SARSA_EPSILON", "nonsense")
@@ -402,6 +379,8 @@ def test_shell_completes_names(
     assert all(line.rpartition(",")[2].startswith(incomplete) for line in shown.stdout.splitlines())
 
 
+WATCH_MINES = "glue-watch --env mines --agent sarsa"
+
 MISTAKES = {
     "an option before the name": (
         "glue-agent --hub ipc:///nowhere random",
@@ -419,6 +398,12 @@ MISTAKES = {
     "a key without that of the hub": ("glue-agent random --key own", "(--hub-key)"),
     "no key, of a subcommand": ("glue-compete board . --signed-by nowhere", "(--signed-by)"),
     "two options at once": ("glue-hub --legacy-port 0.0.0.0:4096", "(--legacy-port, --insecure)"),
+    "no file to load": (f"{WATCH_MINES} --load nothing.agent", "cannot read nothing.agent"),
+    "a file that is no save": (f"{WATCH_MINES} --load /etc/passwd", "are not a save of agent sarsa"),
+    "no speed": (f"{WATCH_MINES} --speed 0", "0.1<=x<=1000"),
+    "marks that nobody draws": (f"{WATCH_MINES} --plan", "leave --plan out"),
+    "no films of this": (f"{WATCH_MINES} --gif a.gif", "there are no films of MinesEnvironment"),
+    "no plan": ("glue-watch --env mario --agent random --plan", "no plan to draw"),
 }
 
 

@@ -17,11 +17,9 @@ from typing import Any, Final, NamedTuple
 
 import msgpack
 
-from glue.client.experiment import connect
-from glue.client.players import serve_agent, serve_environment
+from glue import Action, Observation, connect, serve_agent, serve_environment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from glue.types import Action, Observation
 from glue.wire.messages import Kind, Message
 from tests.players import SeededAgent, SeededEnvironment
 from tests.scripted.hub import ScriptedHub

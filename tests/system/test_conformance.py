@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from glue.client.experiment import connect
-from glue.engine.local import local
+from glue import connect, local
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from tests.forked import Recorded

@@ -14,16 +14,13 @@ from typing import Any, NoReturn
 import pytest
 
 from env_server.toys import SkeletonEnvironment
-from glue.client.experiment import RemoteExperiment, connect
-from glue.engine.experiment import Experiment
-from glue.engine.local import local
-from glue.errors import HubClosed, PeerLost
+from glue import Action, Experiment, HubClosed, PeerLost, Step, connect, local
+from glue.client.experiment import RemoteExperiment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from glue.types import Action, Step
 from tests.forked import Recorded
-from tests.hubs import serving
-from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
+from tests.hubs import hub_with, serving
+from tests.players import At, ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.proof import size
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import address, main, running
@@ -37,7 +34,7 @@ class Processes:
     """Players in processes of their own, any number one after another."""
 
     def __init__(self, hub: str, role: str, player: str) -> None:
-        self._arguments = (role, hub, player)
+        self._arguments = (role, hub, f"tests.players:{player}")
         self._started: list[Recorded] = []
 
     def __enter__(self) -> Processes:
@@ -52,29 +49,10 @@ class Processes:
         """Start another player."""
         self._started.append(Recorded(main, *self._arguments))
 
-    def signal(self, number: int) -> None:
-        """Send a signal to the latest process."""
-        os.kill(self.latest.pid, number)
-
     @property
     def latest(self) -> Recorded:
         """The process started last."""
         return self._started[-1]
-
-
-class At:
-    """Acts at one point of a run: when the call `call` comes for the `count`th time."""
-
-    def __init__(self, call: str, count: int, act: Callable[[], None]) -> None:
-        self._call = call
-        self._left = count
-        self._act = act
-
-    def __call__(self, call: str) -> None:
-        if call.startswith(self._call):
-            self._left -= 1
-            if self._left == 0:
-                self._act()
 
 
 def play(glue: Experiment) -> list[str]:
@@ -97,11 +75,8 @@ def play_on(glue: Experiment) -> NoReturn:
 class Run:
     """A hub with an experiment, one player in a process and the other in a thread."""
 
-    def __init__(self, timeout: float) -> None:
-        config = HubConfig(
-            bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=timeout, greeting=TIMEOUT
-        )
-        self.hub = Hub(config)
+    def __init__(self) -> None:
+        self.hub = Hub(HubConfig(("tcp://127.0.0.1:*",), HEARTBEAT, timeout=1.0, greeting=TIMEOUT))
         self.notices: list[tuple[str, str]] = []
         self.on_notice: dict[str, Callable[[], None]] = {}
 
@@ -125,18 +100,8 @@ class Run:
 
 
 CASES = {
-    "agent": (
-        "tests.players:TellingAgent",
-        ScriptedEnvironment,
-        "env_step",
-        "agent_seed agent_init agent_start",
-    ),
-    "environment": (
-        "tests.players:TellingEnvironment",
-        ScriptedAgent,
-        "agent_step",
-        "env_seed env_init env_start",
-    ),
+    "agent": ("TellingAgent", ScriptedEnvironment, "env_step", "agent_seed agent_init agent_start"),
+    "environment": ("TellingEnvironment", ScriptedAgent, "agent_step", "env_seed env_init env_start"),
 }
 """For each role that a fault strikes: its player, the partner, the partner's call, and the first calls."""
 
@@ -150,8 +115,8 @@ def calls(glue: Experiment, role: str) -> list[str]:
 @pytest.mark.parametrize("role", CASES)
 def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
-    run = Run(timeout=1.0)
-    kill = At(moment, 5, lambda: processes.signal(signal.SIGKILL))
+    run = Run()
+    kill = At(moment, 5, lambda: os.kill(processes.latest.pid, signal.SIGKILL))
     with run.experiment(role, player, partner(before=kill)) as (glue, processes):
         run.on_notice["lost"] = processes.start
         glue.rl_init(seed=5)
@@ -166,7 +131,7 @@ def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role
 @pytest.mark.parametrize("role", CASES)
 def test_a_player_cut_off_for_longer_than_the_timeout_returns_as_it_was(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
-    run = Run(timeout=1.0)
+    run = Run()
     proxy = Proxy(run.hub.endpoints[0])
     shut = At(moment, 5, proxy.shut)
     with proxy.in_background(), run.experiment(role, player, partner(before=shut), proxy.url) as (glue, _):
@@ -209,8 +174,8 @@ def play_over_cuts(cuts: int, seed: int) -> None:
         proxy = Proxy(hub.endpoints[0], cuts, seed)
         with (
             proxy.in_background(),
-            Processes(proxy.url, "agent", "tests.players:ChainAgent"),
-            Processes(proxy.url, "environment", "tests.players:ChainEnvironment"),
+            Processes(proxy.url, "agent", "ChainAgent"),
+            Processes(proxy.url, "environment", "ChainEnvironment"),
             connect(proxy.url) as glue,
         ):
             assert chain(glue, episodes) == expected
@@ -230,8 +195,8 @@ def hub_process(bind: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
     with ExitStack() as stack:
         with hub_process("tcp://127.0.0.1:*") as (hub, url):
-            stack.enter_context(Processes(url, "agent", "tests.players:TellingAgent"))
-            stack.enter_context(Processes(url, "environment", "tests.players:TellingEnvironment"))
+            stack.enter_context(Processes(url, "agent", "TellingAgent"))
+            stack.enter_context(Processes(url, "environment", "TellingEnvironment"))
             before = stack.enter_context(connect(url))
             before.rl_init()
             assert before.rl_episode()
@@ -255,8 +220,8 @@ def test_a_hub_that_is_told_to_stop_tells_every_peer(
     reason = f"the hub was stopped by {number.name}"
     with hub_process(f"ipc://{tmp_path}/hub") as (hub, url):
         with (
-            Processes(url, "agent", "tests.players:ScriptedAgent") as agent,
-            Processes(url, "environment", "tests.players:ScriptedEnvironment") as environment,
+            Processes(url, "agent", "ScriptedAgent") as agent,
+            Processes(url, "environment", "ScriptedEnvironment") as environment,
             connect(url) as glue,
         ):
             glue.rl_init()
@@ -277,13 +242,11 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
             return super().env_step(action)
 
     agent = "from glue_rl.commands import agent; agent()"
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0, greeting=60.0))
-    with hub.in_background(), ExitStack() as ending:
-        (url,) = hub.endpoints
-        ending.enter_context(serving(url, Walk()))
-        ending.callback(hub.stop, "over")
-        process = ending.enter_context(running("-c", agent, "skeleton", "--hub", url))
-        glue = ending.enter_context(connect(url))
+    with (
+        hub_with(Walk(), heartbeat=HEARTBEAT, timeout=60.0) as url,
+        running("-c", agent, "skeleton", "--hub", url) as process,
+        connect(url) as glue,
+    ):
         glue.rl_init()
         with pytest.raises(PeerLost, match=r"the agent skeleton left: interrupted"):
             play_on(glue)

@@ -11,16 +11,13 @@ from typing import Final
 
 import pytest
 
-from glue.client.experiment import connect
+from glue import Action, Environment, Observation, connect
 from glue.conform.clients.judge import judge
 from glue.conform.clients.process import ClientProcess
 from glue.conform.report import line
 from glue.conform.rules import Outcome, Tier
-from glue.engine.experiment import Experiment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from glue.roles import Environment
-from glue.types import Action, Observation
 from glue.wire.messages import Role
 from tests.cc import compiled
 from tests.hubs import serving
@@ -74,18 +71,10 @@ def running(command: Program) -> Iterator[subprocess.Popen[str]]:
         assert (process.returncode, complaint) == (0, "")
 
 
-@contextmanager
-def table_for(agent: Program, environment: Environment) -> Iterator[Experiment]:
-    """Connect a foreign agent, our environment and an experiment to a hub of ours."""
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
+def test_agent_reads_all_three_runs_and_the_rewards(agent: Program) -> None:
+    hub, environment = Hub(HubConfig(bind=("tcp://127.0.0.1:*",))), Wordy()
     url = hub.endpoints[0]
     with running([*agent, url]), serving(url, environment), hub.in_background(), connect(url) as glue:
-        yield glue
-
-
-def test_agent_reads_all_three_runs_and_the_rewards(agent: Program) -> None:
-    environment = Wordy()
-    with table_for(agent, environment) as glue:
         glue.rl_init()
         assert glue.rl_agent_message("") == (
             "0 episodes, 0 in all; last seen: 0 ints, 0 doubles that sum to 0, 0 chars"

@@ -6,27 +6,24 @@ import os
 import warnings
 from pathlib import Path
 
-from glue import connect, load_run
-from glue.errors import LocalProtocolError
+from glue import LocalProtocolError, connect, load_run
 from tests.forked import run
 from tests.hubs import hub_with
 from tests.players import ScriptedAgent, ScriptedEnvironment
 
 PLAYERS = """
 import multiprocessing, signal, time
+from agents.baselines import SkeletonAgent
 from env_server.toys import SkeletonEnvironment
-from glue import Action, Agent
+from glue import Action
 
 fork = multiprocessing.get_context("fork")
 
 
-class Pooling(Agent):
+class Pooling(SkeletonAgent):
     def agent_start(self, observation):
         with fork.Pool(2) as pool:
             return Action([max(pool.map(abs, [0, -1]))])
-
-    def agent_step(self, reward, observation):
-        return Action([1])
 
 
 class Helped(SkeletonEnvironment):

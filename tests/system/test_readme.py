@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
@@ -61,16 +62,13 @@ def test_command_runs(command: list[str], folder: Path) -> None:
     hub = f"ipc://{folder}/hub"
     others = partners(command, hub)
     address = {"glue-experiment": ["--bind", hub]}.get(command[0], ["--hub", hub]) if others else []
-    terminals = [Terminal(*other, cwd=folder) for other in others]
-    try:
+    with ExitStack() as stack:
+        terminals = [stack.enter_context(closing(Terminal(*other, cwd=folder))) for other in others]
         shown = run(*command, *address, cwd=folder)
         assert shown.returncode == 0, shown.stderr
         assert [terminal.end() for terminal in terminals] == [0] * len(terminals)
         table = shown.stdout.splitlines() + [line for terminal in terminals for line in terminal.lines]
         assert any(re.search(r" 2/2 ", line) for line in table), table
-    finally:
-        for terminal in terminals:
-            terminal.close()
 
 
 def test_a_score_on_unseen_levels(tmp_path: Path) -> None:

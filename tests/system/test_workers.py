@@ -6,7 +6,7 @@ import json
 import shutil
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -174,12 +174,10 @@ def test_player_that_is_killed_at_one_point_after_another_continues(folder: Path
 @contextmanager
 def running(*arguments: object, cwd: Path) -> Iterator[Terminal]:
     """Yield a run that has finished its first episode."""
-    terminal = Terminal("glue-experiment", *map(str, arguments), "--json", "--out", "run", cwd=cwd)
-    try:
+    command = ("glue-experiment", *map(str, arguments), "--json", "--out", "run")
+    with closing(Terminal(*command, cwd=cwd)) as terminal:
         terminal.wait_for('"episode"')
         yield terminal
-    finally:
-        terminal.close()
 
 
 INTERRUPTED = (

@@ -95,8 +95,8 @@ def _played_by(known: Mapping[str, str | None], spec: TrialSpec) -> TrialSpec:
         name = one_line(environment.name)
         raise ConfigError(
             f"{spec.id} is of the environment {name}, which is not installed, and the run names its code: "
-            f"if you trust that, add --env {name}, or name your copy of the file",
-            settings=("env",),
+            f"if you trust that, allow {name}, or your copy of its file",
+            settings=("environments",),
         )
     return replace(spec, environment=replace(environment, name=found))
 

@@ -13,11 +13,7 @@ from agents.language import server
 from agents.language.game import GameOptions, GameOver, LanguageAgent, Phase
 from agents.language.server import play
 from env_server.toys import SkeletonEnvironment
-from glue.engine.local import local
-from glue.errors import ConfigError
-from glue.plugins.loading import make_agent
-from glue.roles import Environment
-from glue.types import Action, Step
+from glue import Action, ConfigError, Environment, Step, local, make_agent
 
 
 class Door(LanguageAgent):

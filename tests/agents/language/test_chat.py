@@ -19,12 +19,8 @@ import pytest
 from agents.language import chat
 from agents.language.chat import Endpoint, EndpointFailed, read_choice, read_reply
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
-from glue.engine.local import local
-from glue.errors import ConfigError, GlueError
-from glue.plugins.loading import make_agent
-from glue.testing import check_agent
+from glue import ConfigError, GlueError, Observation, check_agent, local, make_agent
 from glue.trajectory import TrajectoryReader
-from glue.types import Observation
 from tests import forked
 
 Handler = BaseHTTPRequestHandler

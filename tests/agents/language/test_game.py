@@ -10,8 +10,7 @@ import pytest
 
 from agents.language.game import Answer, Game, GameOptions, GameOver, NotNow, Phase, Until
 from env_server.toys import SkeletonEnvironment
-from glue.errors import GlueError
-from glue.types import Action, Observation
+from glue import Action, GlueError, Observation
 
 SPEC = SkeletonEnvironment().env_init()
 

@@ -7,9 +7,8 @@ import pytest
 from agents.language.texts import IllegalChoice, Texts
 from env_server.render.words import MARIO, MINES, SKELETON
 from env_server.toys import MINES_MAP, MinesEnvironment, SkeletonEnvironment
-from glue.errors import GlueError
+from glue import Action, GlueError, Observation
 from glue.taskspec import parse_task_spec
-from glue.types import Action, Observation
 from tests.agents.screens import TASK_SPEC
 
 CAR = (

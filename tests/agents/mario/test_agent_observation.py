@@ -16,10 +16,8 @@ from agents.mario.best import BestAgent
 from agents.mario.observation import CHARS, MAX_SPRITES, Screen, read
 from agents.mario.sample import SampleAgent
 from agents.mohan2010.hierarchical import HierarchicalAgent
+from glue import Agent, Observation, RemoteProtocolError
 from glue.compiled.records import new
-from glue.errors import RemoteProtocolError
-from glue.roles import Agent
-from glue.types import Observation
 from tests.agents.screens import TASK_SPEC, draw
 
 

@@ -10,10 +10,8 @@ import pytest
 from agents.mario.agent import ACTIONS, LEFT, action_number
 from agents.mario.best import BestAgent
 from env_server.mario.environment import InfiniteMario
-from glue.engine.local import local
-from glue.roles import Environment
+from glue import Action, Environment, Observation, local
 from glue.saves import unpack
-from glue.types import Action, Observation
 from tests.agents.screens import TASK_SPEC, draw
 
 RUN_LEFT = ACTIONS[action_number(LEFT, False, True)]
@@ -137,8 +135,7 @@ def test_worlds_that_begin_differently_are_remembered_apart() -> None:
 
 
 def test_more_worlds_than_can_be_kept_are_not_kept() -> None:
-    agent = BestAgent()
-    agent.agent_init(TASK_SPEC)
+    agent = started(Walk())
     for x in range(40):
         screen = draw("7" * 21, at=(float(x), 2.0))
         agent.agent_start(screen)
@@ -186,8 +183,7 @@ def test_an_episode_that_was_cut_off_leaves_its_places() -> None:
 
 
 def test_an_episode_that_ends_while_settling_teaches_nothing() -> None:
-    agent = BestAgent()
-    agent.agent_init(TASK_SPEC)
+    agent = started(Walk())
     for _ in range(3):
         agent.agent_start(draw("M"))
         agent.agent_step(-0.01, draw("M"))
@@ -196,8 +192,7 @@ def test_an_episode_that_ends_while_settling_teaches_nothing() -> None:
 
 
 def test_an_endless_episode_takes_no_more_than_so_much_memory() -> None:
-    agent = BestAgent()
-    agent.agent_init(TASK_SPEC)
+    agent = started(Walk())
     screen = draw("M", "7" * 21)
     agent.agent_start(screen)
     for _ in range(5000):
@@ -232,7 +227,6 @@ def test_without_learning_the_best_episode_is_repeated_and_nothing_changes() -> 
 
 
 def test_messages_are_answered() -> None:
-    agent = BestAgent()
-    agent.agent_init(TASK_SPEC)
+    agent = started(Walk())
     assert [agent.agent_message(each) for each in ("best", "cells", "epsilon")] == ["none", "0", "1.0"]
     assert "answers only the messages best, cells and epsilon" in agent.agent_message("hello")

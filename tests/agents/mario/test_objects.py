@@ -4,32 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from agents.mario.objects import (
-    A_COIN,
-    A_MONSTER,
-    A_PIT,
-    A_QUESTION,
-    AWAY,
-    NO_MOTION,
-    STATIONARY,
-    THREATS_2010,
-    THREATS_2012,
-    TOWARDS,
-    VERTICAL,
-    Object,
-    tile_above,
-)
+from agents.mario import objects
 from agents.mario.observation import COIN, FIREBALL, GOOMBA, MUSHROOM, OUTSIDE, PLANT, RED_KOOPA, SOLID, tile
 from glue.types import Observation
-from tests.agents.screens import Watcher, draw
+from tests.agents.screens import Watcher, draw, watched
 
 GROUND = "7" * 21
 
 
 def test_rows_are_counted_from_the_bottom_and_columns_from_the_level() -> None:
-    watcher = Watcher()
-    watcher(draw(" M  $", GROUND, camera=40))
-    screen = watcher.screen
+    screen = watched(draw(" M  $", GROUND, camera=40)).screen
     assert (screen.column, screen.row) == (41, 1)
     assert tile(screen, 44, 1) == COIN
     assert tile(screen, 44, 0) == SOLID
@@ -39,16 +23,14 @@ def test_rows_are_counted_from_the_bottom_and_columns_from_the_level() -> None:
 
 
 def test_the_tile_that_mario_hides_reads_as_blank() -> None:
-    watcher = Watcher()
-    watcher(draw(" M", GROUND))
-    assert tile(watcher.screen, 1, 1) == ord(" ")
+    assert tile(watched(draw(" M", GROUND)).screen, 1, 1) == ord(" ")
 
 
 # Monsters
 
 
-def monsters(objects: list[Object]) -> list[Object]:
-    return [thing for thing in objects if thing.kind == A_MONSTER]
+def monsters(things: list[objects.Object]) -> list[objects.Object]:
+    return [thing for thing in things if thing.kind == objects.A_MONSTER]
 
 
 def test_a_monsters_distance_is_that_of_rounded_positions() -> None:
@@ -67,7 +49,7 @@ def test_positions_are_rounded_towards_zero() -> None:
 
 @pytest.mark.parametrize(
     ("threats", "left", "right", "below", "above"),
-    [(THREATS_2010, -3.0, 3.5, -6.0, 4.5), (THREATS_2012, -4.0, 5.5, -2.0, 4.5)],
+    [(objects.THREATS_2010, -3.0, 3.5, -6.0, 4.5), (objects.THREATS_2012, -4.0, 5.5, -2.0, 4.5)],
 )
 def test_a_monster_is_a_threat_within_a_window(
     threats: tuple[int, int, int, int], left: float, right: float, below: float, above: float
@@ -109,13 +91,13 @@ def test_only_a_plant_hides_in_a_pipe() -> None:
 @pytest.mark.parametrize(
     ("dx", "speed_x", "speed_y", "motion"),
     [
-        (2.0, 0.0, -0.0, STATIONARY),
-        (2.0, 0.0, 0.5, VERTICAL),
-        (2.0, -0.5, 0.0, TOWARDS),
-        (-2.0, 0.5, 1.0, TOWARDS),
-        (2.0, 0.5, 0.0, AWAY),
-        (-2.0, -0.5, 0.0, AWAY),
-        (0.0, 0.5, 0.0, NO_MOTION),
+        (2.0, 0.0, -0.0, objects.STATIONARY),
+        (2.0, 0.0, 0.5, objects.VERTICAL),
+        (2.0, -0.5, 0.0, objects.TOWARDS),
+        (-2.0, 0.5, 1.0, objects.TOWARDS),
+        (2.0, 0.5, 0.0, objects.AWAY),
+        (-2.0, -0.5, 0.0, objects.AWAY),
+        (0.0, 0.5, 0.0, objects.NO_MOTION),
     ],
 )
 def test_motion_relative_to_mario(dx: float, speed_x: float, speed_y: float, motion: int) -> None:
@@ -155,9 +137,9 @@ def test_a_monster_stays_the_same_until_the_types_before_it_change() -> None:
 # Coins and questions
 
 
-def tiles_of(objects: list[Object], kind: int) -> list[tuple[int, int]]:
+def tiles_of(things: list[objects.Object], kind: int) -> list[tuple[int, int]]:
     """Return (dx, dy) of every object of a kind, all of which must be related."""
-    found = [thing for thing in objects if thing.kind == kind]
+    found = [thing for thing in things if thing.kind == kind]
     assert all(thing.related for thing in found)
     return sorted((thing.dx, thing.dy) for thing in found)
 
@@ -168,7 +150,9 @@ def everywhere(mark: str) -> list[str]:
     return [full] * 7 + [mark * 10 + "M" + mark * 10] + [full] * 8
 
 
-@pytest.mark.parametrize(("mark", "kind", "columns"), [("$", A_COIN, 1), ("?", A_QUESTION, 2)])
+@pytest.mark.parametrize(
+    ("mark", "kind", "columns"), [("$", objects.A_COIN, 1), ("?", objects.A_QUESTION, 2)]
+)
 def test_a_tile_is_reachable_some_columns_and_three_rows_away_and_never_below(
     mark: str, kind: int, columns: int
 ) -> None:
@@ -213,7 +197,7 @@ def test_an_observation_without_objects_has_none() -> None:
     ],
 )
 def test_a_coin_is_reachable_via_a_platform(rows: tuple[str, ...], seen: list[tuple[int, int]]) -> None:
-    assert tiles_of(Watcher(via_platforms=True)(draw(*rows)), A_COIN) == seen
+    assert tiles_of(Watcher(via_platforms=True)(draw(*rows)), objects.A_COIN) == seen
 
 
 def test_platforms_help_only_who_knows_of_them() -> None:
@@ -221,15 +205,15 @@ def test_platforms_help_only_who_knows_of_them() -> None:
     far = draw(*rows)
     assert Watcher()(far) == []
     seen = Watcher(via_platforms=True)(far)
-    assert tiles_of(seen, A_COIN) == [(3, 5)]
-    assert tiles_of(seen, A_QUESTION) == [(5, 5)]
+    assert tiles_of(seen, objects.A_COIN) == [(3, 5)]
+    assert tiles_of(seen, objects.A_QUESTION) == [(5, 5)]
 
 
 # Pits
 
 
-def pits(objects: list[Object]) -> list[tuple[int, int]]:
-    return [(thing.id, thing.dx) for thing in objects if thing.kind == A_PIT]
+def pits(things: list[objects.Object]) -> list[tuple[int, int]]:
+    return [(thing.id, thing.dx) for thing in things if thing.kind == objects.A_PIT]
 
 
 @pytest.mark.parametrize(
@@ -280,12 +264,8 @@ def test_what_is_not_a_pit(rows: tuple[str, ...]) -> None:
     ],
 )
 def test_the_tile_above_is_four_rows_over_the_floor(rows: tuple[str, ...], above: str) -> None:
-    watcher = Watcher()
-    watcher(draw(*rows))
-    assert chr(tile_above(watcher.screen)) == (above or "\0")
+    assert chr(objects.tile_above(watched(draw(*rows)).screen)) == (above or "\0")
 
 
 def test_a_mario_far_above_the_screen_is_no_trouble() -> None:
-    watcher = Watcher()
-    watcher(draw(GROUND, at=(1.5, 2.0e9)))
-    assert tile_above(watcher.screen) == ord(" ")
+    assert objects.tile_above(watched(draw(GROUND, at=(1.5, 2.0e9))).screen) == ord(" ")

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from agents.mario.sample import SampleAgent
 from env_server.mario.environment import InfiniteMario
-from glue.engine.local import local
-from glue.types import Action
+from glue import Action, local
 from tests.agents.screens import TASK_SPEC, draw
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "sample_agent.jsonl.gz"

@@ -11,7 +11,7 @@ from agents.mario.objects import Scene
 from agents.mario.observation import GOOMBA, MUSHROOM
 from agents.mohan2010.features import WINDOW, all_objects, window_parts, window_whole
 from glue.types import Observation
-from tests.agents.screens import Watcher, draw, key
+from tests.agents.screens import draw, key, watched
 
 SPRITE = 256
 ROOM = ("?  $7", "b M |", "77711")
@@ -19,16 +19,12 @@ ROOM = ("?  $7", "b M |", "77711")
 
 def whole(observation: Observation) -> int:
     """Return the key of the whole window."""
-    watcher = Watcher()
-    watcher(observation)
-    return int(window_whole(watcher.screen))
+    return int(window_whole(watched(observation).screen))
 
 
 def parts(observation: Observation) -> list[int]:
-    watcher = Watcher()
-    watcher(observation)
     keys = np.zeros(WINDOW, np.uint64)
-    assert window_parts(watcher.screen, keys) == WINDOW
+    assert window_parts(watched(observation).screen, keys) == WINDOW
     return [int(key) for key in keys]
 
 
@@ -73,9 +69,7 @@ def test_parts_tell_place_occupant_and_relative_speed() -> None:
 
 
 def objects_key(observation: Observation) -> int:
-    watcher = Watcher()
-    watcher(observation)
-    return int(all_objects(cast(Scene, watcher.scene[0])))
+    return int(all_objects(cast(Scene, watched(observation).scene[0])))
 
 
 def test_the_state_of_all_objects_row_by_row() -> None:

@@ -8,7 +8,6 @@ from agents.mario.agent import ACTIONS
 from agents.mohan2010.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
 from tests.agents.screens import TASK_SPEC, draw, key, learned
 
-GROUND = "7" * 21
 HERE = ("  M  ", "77777")
 
 

@@ -12,6 +12,7 @@ from env_server.mario.environment import InfiniteMario
 from glue.engine.local import local
 from glue.plugins.loading import find
 from glue.wire.messages import Role
+from tests.players import returns
 
 PAPER = (
     *("tiles", "tiles-coarse", "objects-flat", "hierarchical-programmed", "hierarchical"),
@@ -31,8 +32,5 @@ def test_every_learner_improves_on_a_short_level(name: str) -> None:
     # A few Goombas and coins.
     with local(agent, InfiniteMario(level_seed=7, level_width=60, max_trial_steps=150)) as glue:
         glue.rl_init()
-        returns = []
-        for _ in range(400):
-            glue.rl_episode()
-            returns.append(glue.rl_return())
-    assert np.mean(returns[-60:]) - np.mean(returns[:60]) > 10.0
+        found = returns(glue, 400)
+    assert np.mean(found[-60:]) - np.mean(found[:60]) > 10.0

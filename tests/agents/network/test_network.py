@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,7 @@ from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LEVEL_SETS
 from env_server.mario.many.games import SAME_STEP, Games
 from env_server.mario.many.views import VIEWS
-from glue import local
-from glue.errors import ConfigError
+from glue import ConfigError, local
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -93,11 +93,7 @@ def test_the_policy_that_comes_with_the_package_reaches_goals_that_it_has_not_se
     task, agent, levels = InfiniteMario().parameters, NetworkAgent(), LEVEL_SETS["test-1000"]
     won = 0
     for number in levels.numbers[:30]:
-        level = levels.level(task, number)
-        mario = InfiniteMario(
-            level_seed=level.level_seed, level_type=level.level_type, level_difficulty=level.level_difficulty
-        )
-        with local(agent, mario) as glue:
+        with local(agent, InfiniteMario(**asdict(levels.level(task, number)))) as glue:
             glue.rl_init(1)
             glue.rl_episode(2000)
             won += glue.rl_return() > 50  # the goal is worth 100

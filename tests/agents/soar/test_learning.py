@@ -12,14 +12,11 @@ import pytest
 from agents.soar.agents import (
     SoarFlatAgent,
     SoarHierarchicalAgent,
-    SoarHierarchicalFactsAgent,
     SoarHierarchicalInternalAgent,
-    SoarHierarchicalProgrammedAgent,
-    SoarObjectsCoarseAgent,
     parse_rules,
 )
 from env_server.mario.environment import InfiniteMario
-from glue.engine.local import local
+from glue import local, make_agent
 from studies.soar_values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
 from tests.agents.soar.memory import Memory, working_memory
 
@@ -167,19 +164,16 @@ def check(agent: Any, book: Textbook, within: float = 2e-6) -> None:
 
 @pytest.mark.parametrize("saves", [False, True])
 @pytest.mark.parametrize(
-    "kind",
+    "name",
     [
-        SoarHierarchicalProgrammedAgent,
-        SoarHierarchicalAgent,
-        SoarHierarchicalFactsAgent,
-        SoarHierarchicalInternalAgent,
-        SoarObjectsCoarseAgent,
+        *("hierarchical-programmed", "hierarchical", "hierarchical-facts", "hierarchical-internal"),
+        "objects-coarse",
     ],
 )
 def test_both_levels_learn_what_the_textbook_says_also_if_saved_after_every_episode(
-    kind: type[Any], saves: bool
+    name: str, saves: bool
 ) -> None:
-    agent = kind()
+    agent = make_agent(f"soar-{name}")
     check(agent, follow(agent, 4, saves), within=1e-4 if saves else 2e-6)
 
 

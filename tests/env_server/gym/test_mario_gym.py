@@ -13,8 +13,7 @@ import pytest
 
 from env_server.mario.observation import BODY_SIZE
 from env_server.mario.parameters import Parameters
-from glue.errors import ConfigError, SimulatorError
-from glue.types import Observation
+from glue import ConfigError, Observation, SimulatorError
 from tests.env_server.mario import golden_check
 
 gymnasium: Any = pytest.importorskip("gymnasium", reason="needs Gymnasium: the extra gym")
@@ -30,6 +29,13 @@ VIEWS = ("tiles", "planes", "pixels", "raw")
 
 def make(**options: Any) -> Any:
     return gymnasium.make(ID, **options)
+
+
+def begun(seed: int = 0, **options: Any) -> Any:
+    """Return a game in its first episode."""
+    env = make(**options)
+    env.reset(seed=seed)
+    return env
 
 
 def make_vec(count: int = GAMES, **options: Any) -> Any:
@@ -145,9 +151,7 @@ def test_what_the_original_recorded_is_played() -> None:
 
 
 def test_views_show_what_the_raw_observation_says() -> None:
-    envs = {view: make(observation=view, level_difficulty=3) for view in VIEWS}
-    for env in envs.values():
-        env.reset(seed=1)
+    envs = {view: begun(1, observation=view, level_difficulty=3) for view in VIEWS}
     generator = np.random.default_rng(1)
     for _ in range(150):
         action = lively(generator, 1)[0]
@@ -226,28 +230,22 @@ def test_levels_of_a_set_depend_on_the_seed_alone() -> None:
 
 
 def test_step_limit_of_mario_terminates_and_that_of_gymnasium_truncates() -> None:
-    env = make(max_trial_steps=4)
-    env.reset(seed=0)
-    outcomes = [env.step(np.array([1, 0, 0])) for _ in range(4)]
-    assert [outcome[4]["timeout"] for outcome in outcomes] == [False, False, False, True]
-    assert outcomes[-1][1:4] == (-10.0, True, False)
-    env = make(max_episode_steps=4)
-    env.reset(seed=0)
-    outcomes = [env.step(np.array([1, 0, 0])) for _ in range(4)]
-    assert outcomes[-1][2:4] == (False, True)
-    assert outcomes[-1][4]["timeout"] is False
+    ours, gymnasiums = begun(max_trial_steps=4), begun(max_episode_steps=4)
+    outcomes = [[env.step(np.array([1, 0, 0])) for _ in range(4)] for env in (ours, gymnasiums)]
+    assert [outcome[4]["timeout"] for outcome in outcomes[0]] == [False, False, False, True]
+    assert outcomes[0][-1][1:4] == (-10.0, True, False)
+    assert outcomes[1][-1][2:4] == (False, True)
+    assert outcomes[1][-1][4]["timeout"] is False
 
 
 def test_death_is_no_timeout_and_the_goal_is_told() -> None:
-    env = make(level_difficulty=10)
-    env.reset(seed=0)
+    env = begun(level_difficulty=10)
     for step in range(999):
         *_, terminated, _, info = env.step(np.array([2, step // 2 % 2, 0]))
         if terminated:
             break
     assert (info["timeout"], info["goal"]) == (False, False)
-    env = make(level_seed=121, level_width=0)
-    env.reset(seed=0)
+    env = begun(level_seed=121, level_width=0)
     for _ in range(200):
         _, reward, terminated, _, info = env.step(np.array([2, 1, 1]))
         if terminated:
@@ -256,8 +254,7 @@ def test_death_is_no_timeout_and_the_goal_is_told() -> None:
 
 
 def test_state_can_be_cloned_and_restored() -> None:
-    env = make(levels="train-200", max_trial_steps=40).unwrapped
-    env.reset(seed=2)
+    env = begun(2, levels="train-200", max_trial_steps=40).unwrapped
     generator = np.random.default_rng(2)
     for _ in range(10):
         env.step(lively(generator, 1)[0])
@@ -283,9 +280,8 @@ def test_state_can_be_cloned_and_restored() -> None:
 
 @pytest.mark.parametrize("action", ["buttons", "discrete"])
 def test_an_action_outside_the_space_is_refused_and_nothing_moves(action: str) -> None:
-    env = make(action=action).unwrapped
+    env = begun(action=action).unwrapped
     envs = make_vec(2, action=action)
-    env.reset(seed=0)
     envs.reset(seed=0)
     before = env.clone_state()
     good = env.action_space.sample()
@@ -310,9 +306,7 @@ def test_an_action_outside_the_space_is_refused_and_nothing_moves(action: str) -
 
 def test_discrete_actions_are_the_buttons_in_order() -> None:
     for number in range(12):
-        one, other = make(action="discrete"), make()
-        one.reset(seed=0)
-        other.reset(seed=0)
+        one, other = begun(action="discrete"), begun()
         for _ in range(5):
             shown = one.step(number)[0]
             expected = other.step(np.array([number // 4, number // 2 % 2, number % 2]))[0]
@@ -387,17 +381,12 @@ def test_ended_games_need_a_reset_where_it_is_not_automatic() -> None:
 
 
 def test_renders_pixels_and_text_and_says_what_a_window_needs(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = make(render_mode="rgb_array")
-    env.reset(seed=0)
-    assert env.render().shape == (240, 320, 3)
-    env = make(render_mode="ansi")
-    env.reset(seed=0)
-    assert "tiles/step" in env.render()
+    assert begun(render_mode="rgb_array").render().shape == (240, 320, 3)
+    assert "tiles/step" in begun(render_mode="ansi").render()
     assert len(make_vec(3, render_mode="rgb_array").unwrapped.metadata["render_modes"]) == 2
     monkeypatch.delenv("DISPLAY", raising=False)
-    env = make(render_mode="human")
     with pytest.raises(ConfigError, match="render_mode='rgb_array'"):
-        env.reset(seed=0)
+        begun(render_mode="human")
 
 
 def test_raw_view_has_room_for_every_observation() -> None:

@@ -204,19 +204,15 @@ def _place(actor: Actor) -> Line:
 
 
 def _sprite(actor: Actor) -> Line:
-    mortal = {"onGround": actor.grounded, "facing": actor.facing, "deadTime": actor.dead_timer}
+    walker = {"onGround": actor.grounded, "facing": actor.facing}
+    mortal = {**walker, "deadTime": actor.dead_timer}
     enemy = {**mortal, "type": actor.kind - 1, "flyDeath": actor.flung, "winged": actor.winged}
     if actor.kind < PLANT:
         own = {"cls": "Enemy", **enemy}
     else:
         own = {
             PLANT: {"cls": "FlowerEnemy", **enemy, "jumpTime": actor.age, "yStart": 16 * int(actor.row) + 24},
-            MUSHROOM: {
-                "cls": "Mushroom",
-                "onGround": actor.grounded,
-                "facing": actor.facing,
-                "life": actor.age,
-            },
+            MUSHROOM: {"cls": "Mushroom", **walker, "life": actor.age},
             FLOWER: {"cls": "FireFlower", "life": actor.age},
             FIREBALL: {"cls": "Fireball", **mortal, "dead": actor.dead},
             SHELL: {"cls": "Shell", **mortal, "dead": actor.dead, "carried": actor.carried},

@@ -9,11 +9,12 @@ import json
 import math
 import struct
 import sys
+from dataclasses import replace
 
 import numpy as np
 
 from env_server.mario.game import Game
-from env_server.mario.parameters import Parameters
+from env_server.mario.parameters import Parameters, resolve
 from env_server.mario.sim.state import ACTORS
 from glue.types import Observation
 
@@ -24,17 +25,13 @@ def random_task(rng: np.random.Generator) -> Parameters:
     """Return a task from anywhere in the bounds of the options; about half are near the published ones."""
     wild = rng.random() < 0.5
     jump = rng.uniform(-16, 16, 2) if wild else rng.uniform(-4, -1, 2)
-    return Parameters(
+    return replace(
+        resolve({}),
         level_seed=int(rng.integers(-(2**31), 2**31)),
         level_type=int(rng.integers(3)),
         level_difficulty=int(rng.integers(101 if wild else 16)),
         level_width=int(rng.integers(2001)) if rng.random() < 0.1 else int(rng.integers(400)),
         max_trial_steps=int(rng.integers(1, 2000)),
-        reward_goal=100.0,
-        reward_death=-10.0,
-        reward_step=-0.01,
-        reward_coin=1.0,
-        reward_kill=1.0,
         speed_walk=float(rng.uniform(0, 16 if wild else 2)),
         speed_run=float(rng.uniform(0, 16 if wild else 3)),
         speed_jump=float(jump[0]),

@@ -12,12 +12,11 @@ import pytest
 from env_server.cli.environment import environment as glue_env
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.many.environment import InfiniteMarioBatch
-from glue import Action, Observation, connect, make
+from glue import Action, Environment, Observation, connect, make
 from glue.batches import Ragged, pack_actions, read_batch_task_spec, unpack_batch
 from glue.console import LOG
 from glue.errors import ConfigError, GlueError, RemoteProtocolError, SimulatorError
 from glue.plugins.batched import BatchedEnvironments, make_batch
-from glue.roles import Environment
 from tests.hubs import hub_with
 from tests.players import ActingInAll
 

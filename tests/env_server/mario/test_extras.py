@@ -10,10 +10,8 @@ import pytest
 from agents.mario.runner import RunRightAgent
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.many.environment import InfiniteMarioBatch
-from glue.engine.local import local
-from glue.errors import ConfigError, SimulatorError
+from glue import Action, ConfigError, Observation, SimulatorError, local
 from glue.roles import capabilities
-from glue.types import Action, Observation
 
 MODES = {0: "small", 10: "large", 11: "fire"}
 
@@ -42,20 +40,12 @@ def playing(**options: Any) -> InfiniteMario:
 
 def test_extras_agree_with_rewards_and_observations() -> None:
     random, modes, deaths = np.random.default_rng(5), set(), set()
-    rewards: dict[str, Any] = {
-        "reward_step": 0.0,
-        "reward_coin": 1.0,
-        "reward_kill": 1000.0,
-        "reward_goal": 0.0,
-    }
+    rewards = {"reward_step": 0.0, "reward_coin": 1.0, "reward_kill": 1000.0, "reward_goal": 0.0}
     for level in range(12):
         mario = playing(level_seed=level, level_difficulty=3, **rewards)
         seen = mario.env_start()
         mario.game.world.large, mario.game.world.fire = level % 3 > 0, level % 3 > 1
-        total, ended = (
-            float(told(seen)["coins"]),
-            False,
-        )  # the reward of the first observation is not paid out
+        total, ended = float(told(seen)["coins"]), False  # the first observation's reward is not paid out
         while not ended:
             last = seen
             moves = [1, int(random.random() < 0.6), int(random.random() < 0.7)]

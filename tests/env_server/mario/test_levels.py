@@ -13,21 +13,8 @@ from hypothesis import strategies as st
 
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.game import Game
+from env_server.mario.sim import tiles as tile
 from env_server.mario.sim.state import ROWS, LevelMap
-from env_server.mario.sim.tiles import (
-    BEHAVIOR,
-    BUMPABLE,
-    CEILINGS,
-    CHANGED,
-    COINS,
-    FLOORS,
-    PICKUP,
-    STOPS_ALL,
-    STOPS_FALL,
-    STOPS_RISE,
-    WALLS,
-    cells_at,
-)
 from tests.env_server.mario.golden_check import DIGESTS
 
 
@@ -72,7 +59,7 @@ def test_every_level_can_be_begun_and_left(seed: int, kind: int, difficulty: int
     made = level(task)
     assert made.columns == width + 50
     assert 0 < made.exit_x < made.columns
-    solid = BEHAVIOR[made.tiles[: made.columns]] & STOPS_ALL != 0
+    solid = tile.BEHAVIOR[made.tiles[: made.columns]] & tile.STOPS_ALL != 0
     assert solid[2, 5:].any()  # ground below the start
     assert solid[made.exit_x :, made.exit_y].all()  # and behind the goal
     assert not (made.tiles[made.columns :]).any()
@@ -96,17 +83,17 @@ def test_cells_of_a_level_say_what_its_tiles_do_also_where_play_has_changed_them
     game.start()
     world, made = game.world, game.level_map
     changed = np.random.default_rng(seed).integers(0, 2, (made.columns, ROWS)) * (
-        BEHAVIOR[made.tiles[: made.columns]] & (BUMPABLE | PICKUP) != 0
+        tile.BEHAVIOR[made.tiles[: made.columns]] & (tile.BUMPABLE | tile.PICKUP) != 0
     )
     world.changed[: made.columns] = changed @ (1 << np.arange(ROWS))
-    tiles = np.where(changed, CHANGED[made.tiles[: made.columns]], made.tiles[: made.columns])
+    tiles = np.where(changed, tile.CHANGED[made.tiles[: made.columns]], made.tiles[: made.columns])
     assert changed.any()
-    cells = np.array([cells_at(world, made, column) for column in range(made.columns)])
+    cells = np.array([tile.cells_at(world, made, column) for column in range(made.columns)])
     for lanes, bits in {
-        WALLS: STOPS_ALL,
-        FLOORS: STOPS_ALL | STOPS_FALL,
-        CEILINGS: STOPS_ALL | STOPS_RISE,
-        COINS: PICKUP,
+        tile.WALLS: tile.STOPS_ALL,
+        tile.FLOORS: tile.STOPS_ALL | tile.STOPS_FALL,
+        tile.CEILINGS: tile.STOPS_ALL | tile.STOPS_RISE,
+        tile.COINS: tile.PICKUP,
     }.items():
         does = cells[:, np.newaxis] >> 4 * np.arange(ROWS) & lanes != 0
-        assert np.array_equal(does, BEHAVIOR[tiles] & bits != 0)
+        assert np.array_equal(does, tile.BEHAVIOR[tiles] & bits != 0)

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from env_server.mario.environment import InfiniteMario, State, pack_state
-from glue.errors import SaveError, SimulatorError
+from glue import Action, Observation, SaveError, SimulatorError
 from glue.options import build
 from glue.roles import capabilities
-from glue.types import Action, Observation
+from tests.agents.screens import TASK_SPEC
 from tests.env_server.mario.golden_check import DIGESTS
 
 Options = dict[str, Any]
@@ -65,10 +65,7 @@ def packed(reward: float, observation: Observation, ended: bool) -> bytes:
 
 
 def test_task_spec_names_the_actions_and_the_reward_range() -> None:
-    assert InfiniteMario().env_init() == (
-        "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
-        "ACTIONS INTS (-1 1) (2 0 1)  REWARDS (-10.0 100.0)"
-    )
+    assert InfiniteMario().env_init() == TASK_SPEC
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,8 @@ from env_server.mario.game import Game
 from env_server.mario.level_sets import LEVEL_SETS
 from env_server.mario.observation import encode
 from env_server.mario.sim.state import GOOMBA, ROWS
-from glue.errors import ConfigError
+from glue import ConfigError, Observation
 from glue.plugins.loading import find_model
-from glue.types import Observation
 from tests.env_server.mario import random_play
 from tests.proof import size
 

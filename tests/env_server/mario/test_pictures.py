@@ -21,9 +21,7 @@ from env_server.mario.observation import BODY_SIZE
 from env_server.mario.pictures import MOST_BYTES, digest_of, read_picture, write_picture
 from env_server.mario.sim import tiles as tile
 from env_server.mario.sim.state import GOOMBA, PLANT, ROWS, SPAWN_WINGED, LevelMap
-from glue import local, make_agent
-from glue.errors import ConfigError, SaveError, SimulatorError
-from glue.types import Action, Observation
+from glue import Action, ConfigError, Observation, SaveError, SimulatorError, local, make_agent
 from tests.env_server.mario.drawing import draw_picture
 from tests.env_server.mario.golden_check import DIGESTS
 from tests.proof import size

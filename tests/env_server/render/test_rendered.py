@@ -9,16 +9,16 @@ import re
 import signal
 import subprocess
 import time
+from contextlib import closing
 from pathlib import Path
 
 from env_server.mario.environment import InfiniteMario
 from env_server.render.live import Rendered
 from env_server.render.text import draw_mines, draw_text
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from glue import Action, Observation, check_environment
 from glue.cli.screen import TerminalScreen, renderer
 from glue.roles import capabilities
-from glue.testing import check_environment
-from glue.types import Action, Observation
 from tests.forked import BIN
 from tests.terminal import Terminal, drawings, run_in_terminal, watched_terminal
 
@@ -42,11 +42,10 @@ def rendered() -> Rendered:
     return Rendered(MinesEnvironment(random_start=True), TerminalScreen(io.StringIO()))
 
 
-class HarderMario(InfiniteMario):
-    """A user's own environment."""
-
-
 def test_renderer_is_that_of_the_environment_or_the_one_it_derives_from() -> None:
+    class HarderMario(InfiniteMario):
+        """A user's own environment."""
+
     assert renderer(InfiniteMario()) is renderer(HarderMario()) is draw_text
     assert renderer(MinesEnvironment()) is draw_mines
 
@@ -87,16 +86,10 @@ def test_every_observation_is_shown_and_each_episode_counted_afresh() -> None:
 
 def test_environment_is_drawn_in_its_terminal(tmp_path: Path) -> None:
     hub = f"ipc://{tmp_path}/hub"
-    experiment = Terminal(
-        *("glue-experiment", "--agent", "skeleton", "--episodes", "1", "--max-steps", "12"),
-        *("--bind", hub, "--out", "run"),
-        cwd=tmp_path,
-    )
-    try:
+    options = ("--agent", "skeleton", "--episodes", "1", "--max-steps", "12", "--bind", hub)
+    with closing(Terminal("glue-experiment", *options, cwd=tmp_path)) as experiment:
         status, text = run_in_terminal("glue-env", "mario", "--render", "--hub", hub, cwd=tmp_path)
         assert (experiment.end(), status) == (0, 0), (experiment.lines, text)
-    finally:
-        experiment.close()
     first, last = drawings(text)[0], drawings(text)[-1]
     assert re.search(r"mm Mario.*  speed .*\nstep 0  reward 0  return 0\.00", first)
     assert re.search(r"mm Mario.*  speed .*\nstep 11  reward -?[\d.]+  return -?[\d.]+", last)
@@ -118,20 +111,17 @@ def test_second_run_is_drawn_like_the_first() -> None:
 
 def test_interrupt_gives_the_cursor_back(tmp_path: Path) -> None:
     hub = f"ipc://{tmp_path}/hub"
-    experiment = Terminal(
-        *("glue-experiment", "--agent", "random", "--episodes", "100000", "--bind", hub, "--out", "run"),
-        cwd=tmp_path,
-    )
-    try:
-        with watched_terminal() as (descriptor, written):
-            command: list[str | Path] = [BIN / "glue-env", "mines", "--render", "--hub", hub]
-            with subprocess.Popen(command, cwd=tmp_path, stdout=descriptor, stderr=descriptor) as process:
-                while b"step 3" not in b"".join(written):
-                    assert process.poll() is None, written
-                    time.sleep(0.01)
-                process.send_signal(signal.SIGINT)
-                assert process.wait(60) == 130
-        text = b"".join(written)
-        assert text.rindex(b"\x1b[?25h") > text.rindex(b"\x1b[?25l")
-    finally:
-        experiment.close()
+    options = ("--agent", "random", "--episodes", "100000", "--bind", hub)
+    command: list[str | Path] = [BIN / "glue-env", "mines", "--render", "--hub", hub]
+    with (
+        closing(Terminal("glue-experiment", *options, cwd=tmp_path)),
+        watched_terminal() as (descriptor, written),
+        subprocess.Popen(command, cwd=tmp_path, stdout=descriptor, stderr=descriptor) as process,
+    ):
+        while b"step 3" not in b"".join(written):
+            assert process.poll() is None, written
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+    text = b"".join(written)
+    assert text.rindex(b"\x1b[?25h") > text.rindex(b"\x1b[?25l")

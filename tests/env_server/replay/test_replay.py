@@ -31,19 +31,16 @@ from env_server.replay.episodes import (
     replayed_moments,
 )
 from env_server.toys import MinesEnvironment
-from glue.errors import ConfigError
+from glue import Action, ConfigError, Environment, Observation
 from glue.extras import Extra
 from glue.options import Value
-from glue.roles import Environment
 from glue.trajectory import ActionWriter, Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
-from glue.types import Action, Observation
 from tests import forked
 from tests.memory import taking_less_than
 from tests.proof import size
 from tests.terminal import run_in_terminal
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "mario"
-RIGHT = Action([1, 0, 1])
 
 
 def golden_lines(name: str, episodes: int = 3) -> list[dict[str, Any]]:
@@ -81,6 +78,14 @@ def build(run: RecordedRun) -> Environment:
 
 def replay(path: Path) -> list[Moment]:
     return list(replayed_moments(open_recording(path), build_environment))
+
+
+def write_run(path: Path, run: Run, seen: Observation | None = None) -> Path:
+    """Record a run that has only begun."""
+    with TrajectoryWriter(path) as recording:
+        recording.run(run)
+        recording.start(seen or Observation([0]))
+    return path
 
 
 def record(
@@ -183,7 +188,7 @@ def test_first_difference_is_told_and_names_the_number(
 GOOD_RUN = golden_lines("variants.jsonl.gz")[0] | {"id": "a", "obs": "hash"}
 START = {"kind": "start", "episode": 0, "keys": [0, 0, 0, 0], "h": "0" * 16}
 STEP = {"kind": "step", "a": [1, 0, 0], "r": 0.5, "end": 0, "h": "0" * 16}
-END = {"kind": "end"}
+LEVEL = golden_lines("levels.jsonl.gz", 1)[0]
 
 
 @pytest.mark.parametrize(
@@ -211,6 +216,12 @@ END = {"kind": "end"}
         ([GOOD_RUN, START, STEP | {"a": [2**40]}], "line 3: ints must be"),
         ([GOOD_RUN, START, STEP | {"end": 2}], "line 3: field 'end' must be 0 or 1"),
         ([GOOD_RUN, START, STEP | {"r": None}], "line 3: field 'r' must be float or int"),
+        ([GOOD_RUN, START, LEVEL], "line 3: a line 'level' cannot stand here"),
+        ([LEVEL | {"width": "370"}], "line 1: field 'width' must be int"),
+        ([LEVEL | {"rows": [0]}], "line 1: field 'rows' must be a list of str"),
+        ([LEVEL | {"sprites": [[1, 2, 3]]}], "line 1: field 'sprites' must be a list of .column, row"),
+        ([LEVEL | {"sprites": [[1, 2, "a", 0]]}], "line 1: field 'sprites' must be a list of"),
+        ([LEVEL | {"level_seed": None}], "line 1: field 'level_seed' must be int"),
     ],
 )
 def test_malformed_recording_of_the_original_is_told_by_its_line(
@@ -276,9 +287,7 @@ def test_a_recording_without_extras_replays_with_them(tmp_path: Path) -> None:
     seen = MinesEnvironment()
     run = Run("mines", {}, seen.env_init())
     for name, beside in (("older", None), ("newer", Talking.extras), ("other", {"coins": 4})):
-        with TrajectoryWriter(tmp_path / name) as recording:
-            recording.run(run)
-            recording.start(Observation(seen.env_start().ints, extras=beside))
+        write_run(tmp_path / name, run, Observation(seen.env_start().ints, extras=beside))
 
     def replayed(name: str) -> list[Moment]:
         return list(replayed_moments(open_recording(tmp_path / name), lambda run: Talking()))
@@ -288,32 +297,25 @@ def test_a_recording_without_extras_replays_with_them(tmp_path: Path) -> None:
         replayed("other")
 
 
-def test_other_task_spec_is_a_difference(tmp_path: Path) -> None:
-    with TrajectoryWriter(tmp_path / "a") as recording:
-        recording.run(Run("mines", {}, "VERSION of another time"))
-        recording.start(Observation([0]))
-    with pytest.raises(
-        Difference, match="the task spec: expected 'VERSION of another time', got 'VERSION RL"
-    ):
-        replay(tmp_path / "a")
-
-
 @pytest.mark.parametrize("name", ["", "evil.py:Evil", "os:stat_result", "gymnasium:CartPole-v1"])
 def test_recording_can_only_name_installed_environments(tmp_path: Path, name: str) -> None:
-    with TrajectoryWriter(tmp_path / "a") as recording:
-        recording.run(Run(name, {}, ""))
-        recording.start(Observation([0]))
     with pytest.raises(NotInstalled) as refused:
-        replay(tmp_path / "a")
+        replay(write_run(tmp_path / "a", Run(name, {}, "")))
     assert refused.value.name == name
 
 
-def test_recording_with_an_option_that_its_environment_has_not_is_refused(tmp_path: Path) -> None:
-    with TrajectoryWriter(tmp_path / "a") as recording:
-        recording.run(Run("mines", {"length": 3}, ""))
-        recording.start(Observation([0]))
-    with pytest.raises(ConfigError, match="length"):
-        replay(tmp_path / "a")
+@pytest.mark.parametrize(
+    ("options", "kind", "why"),
+    [
+        ({}, Difference, "the task spec: expected 'VERSION of another time', got 'VERSION RL"),
+        ({"length": 3}, ConfigError, "length"),
+    ],
+)
+def test_other_task_spec_is_a_difference_and_an_option_that_there_is_not_is_refused(
+    tmp_path: Path, options: dict[str, Value], kind: type[Exception], why: str
+) -> None:
+    with pytest.raises(kind, match=why):
+        replay(write_run(tmp_path / "a", Run("mines", options, "VERSION of another time")))
 
 
 def test_environments_are_cleaned_up_at_the_end_and_at_a_difference(tmp_path: Path) -> None:
@@ -342,9 +344,6 @@ def test_hashes_alone_cannot_be_shown(tmp_path: Path) -> None:
         list(recorded_moments(open_recording(path)))
 
 
-LEVEL = golden_lines("levels.jsonl.gz", 1)[0]
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -364,22 +363,6 @@ def test_level_that_differs_is_told_by_what_differs(
     task = "level_seed=12. level_type=0 level_difficulty=0 level_width=320"
     with pytest.raises(Difference, match=f"^{task}: the level's {message}"):
         replay(path)
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ([GOOD_RUN, START, LEVEL], "line 3: a line 'level' cannot stand here"),
-        ([LEVEL | {"width": "370"}], "line 1: field 'width' must be int"),
-        ([LEVEL | {"rows": [0]}], "line 1: field 'rows' must be a list of str"),
-        ([LEVEL | {"sprites": [[1, 2, 3]]}], "line 1: field 'sprites' must be a list of .column, row"),
-        ([LEVEL | {"sprites": [[1, 2, "a", 0]]}], "line 1: field 'sprites' must be a list of"),
-        ([LEVEL | {"level_seed": None}], "line 1: field 'level_seed' must be int"),
-    ],
-)
-def test_malformed_level_is_told_by_its_line(tmp_path: Path, lines: list[Any], message: str) -> None:
-    with pytest.raises(TrajectoryError, match=message):
-        exhaust(GoldenReader(write_golden(tmp_path / "a", lines)))
 
 
 def test_level_out_of_bounds_is_refused_with_the_bound(tmp_path: Path) -> None:

@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.curves import over_steps, per_step, step_returns
-from experiment_runner.analysis.stats import FloatArray
 
 RNG = np.random.default_rng(3)
-
-
-def by_hand(returns: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return the value of every step, as rlevaluation's `compute_step_return` defines it."""
-    known = [*returns, *[returns[-1]] * (len(steps) - len(returns))]
-    return np.repeat(np.array(known), steps.astype(int))
 
 
 @pytest.mark.parametrize("unfinished", [0, 1])
@@ -22,7 +15,8 @@ def by_hand(returns: FloatArray, steps: FloatArray) -> FloatArray:
 def test_means_are_those_of_the_single_steps(unfinished: int, window: int) -> None:
     steps = RNG.integers(1, 12, size=30).astype(float)
     returns = RNG.normal(size=30 - unfinished)
-    values = by_hand(returns, steps)
+    # Every step has a value, as rlevaluation's `compute_step_return` defines it.
+    values = np.repeat([*returns, *[returns[-1]] * unfinished], steps.astype(int))
     at = np.arange(window, len(values) + 1, 3.0)
     expected = [values[int(end) - window : int(end)].mean() for end in at]
     np.testing.assert_allclose(step_returns(returns, steps).mean(at, window), expected)

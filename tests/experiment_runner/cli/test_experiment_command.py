@@ -20,11 +20,9 @@ from experiment_runner.plan.file import load_plan
 from experiment_runner.report.overview import as_text
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from glue.client.players import serve_agent
+from glue import Action, Environment, Observation, Step, serve_agent
 from glue.errors import ConfigError, ExperimentError, HubUnreachable
-from glue.roles import Environment
 from glue.taskspec.spaces import Discrete, task_spec
-from glue.types import Action, Observation, Step
 from tests import forked
 from tests.system.runs import contents
 

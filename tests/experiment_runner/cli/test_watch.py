@@ -14,13 +14,9 @@ from agents.tabular import SarsaAgent
 from env_server.mario.environment import InfiniteMario
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.cli.watch import play
+from glue import ConfigError, Environment, Observation, local
 from glue.cli.screen import Marks, TerminalScreen, read_marks, renderer
-from glue.engine.local import local
-from glue.errors import ConfigError
-from glue.roles import Environment
-from glue.types import Observation
 from tests.forked import run
-from tests.glue.plugins.test_trained import sarsa
 from tests.terminal import drawings, run_in_terminal, watched_terminal
 
 
@@ -72,28 +68,6 @@ def test_watch_plays_unseen_episodes_first_and_says_how_the_others_went(tmp_path
     assert shown.returncode == 0, shown.stderr
     assert re.findall(r"episode (\d+): return", shown.stderr) == ["21", "22"]
     assert shown.stdout == ""
-
-
-MISTAKES = {
-    "no file": (["sarsa", "--load", "nothing.agent"], "cannot read nothing.agent"),
-    "a damaged file": (["sarsa", "--load", "damaged.agent"], "save is damaged"),
-    "no speed": (["sarsa", "--speed", "0"], "0.1<=x<=1000"),
-    "marks that nobody draws": (["sarsa", "--plan"], "leave --plan out"),
-    "no films of this": (["sarsa", "--gif", "a.gif"], "there are no films of MinesEnvironment"),
-    "no plan": (["random", "--plan"], "no plan to draw"),
-}
-
-
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_mistake_is_answered_in_a_line(mistake: str, tmp_path: Path) -> None:
-    arguments, advice = MISTAKES[mistake]
-    environment = "mario" if mistake == "no plan" else "mines"
-    (tmp_path / "damaged.agent").write_bytes(sarsa(1).agent_save()[:-1])
-    shown = run("glue-watch", "--env", environment, "--agent", *arguments, cwd=tmp_path)
-    assert shown.returncode in (1, 2)
-    assert advice in shown.stderr
-    assert "Traceback" not in shown.stderr
-    assert sum(line.startswith("Error:") for line in shown.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

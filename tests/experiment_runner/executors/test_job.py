@@ -10,65 +10,44 @@ import pytest
 
 from agents.baselines import RandomAgent
 from env_server.toys import MinesEnvironment
-from experiment_runner.executors.job import (
-    BOTH,
-    REPORTS,
-    Ended,
-    Happened,
-    Job,
-    Line,
-    Lost,
-    Placement,
-    Playing,
-    Recorded,
-    Report,
-    RunConfig,
-    Start,
-    Voided,
-    decode,
-    encode,
-    unpack,
-    unpacker,
-)
+from experiment_runner.executors import job
 from experiment_runner.executors.trial import run_job, watched
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
-from glue.engine.local import local
-from glue.errors import ExperimentError
-from glue.types import Action, Observation, Step
+from glue import Action, ExperimentError, Observation, Step, local
 from glue.wire.messages import Role
 
 RESULT = EpisodeResult(7, -1.25, 2**40, False, 0.5)
-SENT: list[Report] = [
-    Recorded(RESULT, None),
-    Recorded(EpisodeResult(8, math.inf, 1, True, 0.0), Checkpoint(b"\0agent", b"")),
-    Recorded(RESULT, None, (Answer("values", "ä\n"), Answer("", ""))),
-    Voided(9, "the agent was lost"),
-    Happened("lost", "why ☂"),
-    Playing(9, 12),
-    Playing(9, None),
-    Line("a line"),
-    Ended(None),
-    Ended("a mistake"),
-    Lost("killed"),
+SENT: list[job.Report] = [
+    job.Recorded(RESULT, None),
+    job.Recorded(EpisodeResult(8, math.inf, 1, True, 0.0), Checkpoint(b"\0agent", b"")),
+    job.Recorded(RESULT, None, (Answer("values", "ä\n"), Answer("", ""))),
+    job.Voided(9, "the agent was lost"),
+    job.Happened("lost", "why ☂"),
+    job.Playing(9, 12),
+    job.Playing(9, None),
+    job.Line("a line"),
+    job.Ended(None),
+    job.Ended("a mistake"),
+    job.Lost("killed"),
 ]
 
 
 def test_reports_arrive_as_they_were_sent_however_the_stream_is_cut() -> None:
-    stream, received = unpacker(), list[Report]()
-    for byte in b"".join(map(encode, SENT)):
+    stream, received = job.unpacker(), list[job.Report]()
+    for byte in b"".join(map(job.encode, SENT)):
         stream.feed(bytes([byte]))
-        received += (decode(value, REPORTS) for value in stream)
+        received += (job.decode(value, job.REPORTS) for value in stream)
     assert received == SENT
 
 
 def test_job_arrives_as_it_was_sent() -> None:
     agent = RoleSpec("sarsa", {"step_size": 0.1, "episodes": 2**63 - 1, "greedy": True, "file": "ä"}, "mine")
     spec = TrialSpec(TrialId("mine/mines/0"), agent, RoleSpec("mines"), 12, 30, 2**63 - 1)
-    config = RunConfig(Placement(BOTH, any_reward=True), 4, questions=("values", ""))
-    job = Job(spec, config, Start(5, Checkpoint(b"a", b"e")))
-    assert [decode(value, {"Job": Job}) for value in unpack(encode(job))] == [job]
+    config = job.RunConfig(job.Placement(job.BOTH, any_reward=True), 4, questions=("values", ""))
+    whole = job.Job(spec, config, job.Start(5, Checkpoint(b"a", b"e")))
+    assert [job.decode(value, {"Job": job.Job}) for value in job.unpack(job.encode(whole))] == [whole]
 
 
 class Unshowable(Exception):
@@ -97,19 +76,19 @@ class Failing(RandomAgent):
 
 
 @pytest.mark.parametrize(
-    ("failure", "inside"), [*((failure, BOTH) for failure in FAILURES), ("cancelled", {Role.AGENT})]
+    ("failure", "inside"), [*((failure, job.BOTH) for failure in FAILURES), ("cancelled", {Role.AGENT})]
 )
 def test_whatever_a_player_raises_ends_its_trial_with_a_text_that_can_be_stored(
     failure: str, inside: Set[Role], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    reports: list[Report] = []
+    reports: list[job.Report] = []
     agent = RoleSpec(f"{__file__}:Failing", {"how": failure})
     spec = TrialSpec(TrialId("a/b/0"), agent, RoleSpec("mines"), 1, 30, 0)
-    run_job(Job(spec, RunConfig(Placement(frozenset(inside)))), reports.append)
+    run_job(job.Job(spec, job.RunConfig(job.Placement(frozenset(inside)))), reports.append)
     ended = reports[-1]
-    assert isinstance(ended, Ended)
+    assert isinstance(ended, job.Ended)
     assert re.search(FAILURES[failure][1], ended.failure or ""), ended.failure
-    assert [decode(value, REPORTS) for value in unpack(encode(ended))] == [ended]
+    assert [job.decode(value, job.REPORTS) for value in job.unpack(job.encode(ended))] == [ended]
     assert len(capsys.readouterr().err) < 100_000
 
 
@@ -121,9 +100,9 @@ def test_episode_that_does_not_end_is_reported_with_its_steps() -> None:
             assert told.wait(60)
             return Step(0.0, Observation([0]), True)
 
-    reports: list[Report] = []
+    reports: list[job.Report] = []
 
-    def send(report: Report) -> None:
+    def send(report: job.Report) -> None:
         reports.append(report)
         told.set()
 
@@ -131,10 +110,10 @@ def test_episode_that_does_not_end_is_reported_with_its_steps() -> None:
     with watched(glue, lambda: 4, send, seconds=0.001):
         glue.rl_init()
         glue.rl_episode()
-    assert set(reports) == {Playing(5, 1)}
+    assert set(reports) == {job.Playing(5, 1)}
 
 
 @pytest.mark.parametrize("value", [None, 7, [], ["Recorded"], ["Recorded", 1, 2], ["__class__", 1], [[], 1]])
 def test_what_is_no_report_is_refused(value: object) -> None:
     with pytest.raises(ExperimentError, match="Recorded"):
-        decode(value, REPORTS)
+        job.decode(value, job.REPORTS)

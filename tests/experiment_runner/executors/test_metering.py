@@ -12,12 +12,9 @@ from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult, Reading
-from glue.engine.experiment import Experiment
+from glue import Action, Environment, Experiment, ExperimentError, Observation, Step
 from glue.engine.local import LocalExperiment
-from glue.errors import ExperimentError
-from glue.roles import Environment
 from glue.trajectory import TrajectoryWriter
-from glue.types import Action, Observation, Step
 from tests.experiment_runner.executors.test_trial import play
 from tests.players import ScriptedAgent
 

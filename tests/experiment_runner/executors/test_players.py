@@ -18,13 +18,10 @@ from experiment_runner.executors.players import open_experiment
 from experiment_runner.executors.rewards import FiniteRewards
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from glue.client.observer import observe
-from glue.client.players import serve_agent, serve_environment
+from glue import Action, Agent, Observation, Step, observe, serve_agent, serve_environment
 from glue.console import say_why_slow
 from glue.errors import GlueError, PeerFailed, PeerLost, Refused
 from glue.hub.config import LegacyPort
-from glue.roles import Agent
-from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
 from tests.forked import run
 

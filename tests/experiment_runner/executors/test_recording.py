@@ -20,13 +20,8 @@ from experiment_runner.executors.recording import Meter, Recorder, recorded
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.results import Results
-from glue.client.players import serve_environment
-from glue.engine.experiment import Experiment
-from glue.engine.local import local
-from glue.errors import ConfigError
-from glue.pace import Pace
+from glue import Action, ConfigError, Experiment, Observation, Pace, local, serve_environment
 from glue.trajectory import Ending, Episode, TrajectoryError, TrajectoryReader, TrajectoryWriter
-from glue.types import Action, Observation
 from glue.wire.messages import Kind
 from tests.experiment_runner.executors.test_trial import Forgetful, Kept, Lossy, mines, play
 from tests.system.runs import contents, start, wait_until

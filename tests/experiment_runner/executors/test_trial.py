@@ -32,12 +32,9 @@ from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Reading
-from glue.engine.experiment import Experiment
-from glue.engine.local import LocalExperiment, local
-from glue.errors import GlueError, PeerLost
-from glue.roles import Agent, Environment
+from glue import Action, Agent, Environment, Experiment, GlueError, PeerLost, Step, local
+from glue.engine.local import LocalExperiment
 from glue.trajectory import TrajectoryWriter
-from glue.types import Action, Step
 from glue.wire.messages import Kind
 
 MINES = RoleSpec("mines", {"random_start": True})

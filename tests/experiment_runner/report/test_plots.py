@@ -13,16 +13,7 @@ from PIL import Image
 
 from experiment_runner.analysis.curves import StepTotals
 from experiment_runner.analysis.stats import tolerance_interval
-from experiment_runner.report.plots import (
-    Layout,
-    comparison,
-    learning_curves,
-    metric_curves,
-    profiles,
-    save,
-    scatter,
-    step_curves,
-)
+from experiment_runner.report import plots
 from glue.errors import ExperimentError
 
 FloatArray = npt.NDArray[np.float64]
@@ -50,7 +41,7 @@ def legend_of(figure: Figure) -> list[str]:
 
 
 def test_learning_curve_is_the_running_mean_over_trials() -> None:
-    figure = learning_curves(CURVES, rng(), window=20)
+    figure = plots.learning_curves(CURVES, rng(), window=20)
     (axes,) = figure.axes
     slow, quick = axes.lines
     assert legend_of(figure) == ["slow (!)", "quick (!)"]
@@ -64,7 +55,7 @@ def test_learning_curve_is_the_running_mean_over_trials() -> None:
 
 
 def test_band_holds_the_mean_and_spans_the_trials() -> None:
-    figure = learning_curves({("", "slow"): LEARNERS["slow"]}, rng(), window=20)
+    figure = plots.learning_curves({("", "slow"): LEARNERS["slow"]}, rng(), window=20)
     (band,) = figure.axes[0].collections
     corners = np.asarray(band.get_paths()[0].vertices)
     at_end = corners[corners[:, 0] == 300][:, 1]
@@ -76,16 +67,18 @@ def test_band_holds_the_mean_and_spans_the_trials() -> None:
 def test_tolerance_band_is_the_interval_of_single_trials(over: str) -> None:
     values = learner(50, trials=60)
     if over == "episodes":
-        figure = learning_curves({("", "a"): values}, rng(), window=20, tolerance=True)
+        figure = plots.learning_curves({("", "a"): values}, rng(), window=20, tolerance=True)
         last = values[:, -20:].mean(axis=1)
     elif over == "steps":
         steps = np.arange(301.0)
         trials = [StepTotals(steps, np.concatenate([[0.0], one.cumsum()])) for one in values]
-        figure = step_curves({("", "a"): trials}, rng(), window=30, tolerance=True)
+        figure = plots.step_curves({("", "a"): trials}, rng(), window=30, tolerance=True)
         last = values[:, -30:].mean(axis=1)
     else:
         steps = np.arange(1.0, 301.0)
-        figure = metric_curves({("", "a"): [(steps, one) for one in values]}, rng(), "error", tolerance=True)
+        figure = plots.metric_curves(
+            {("", "a"): [(steps, one) for one in values]}, rng(), "error", tolerance=True
+        )
         last = values[:, -1]
     (band,) = figure.axes[0].collections
     corners = np.asarray(band.get_paths()[0].vertices)
@@ -95,28 +88,28 @@ def test_tolerance_band_is_the_interval_of_single_trials(over: str) -> None:
 
 
 def test_window_shrinks_for_a_short_run() -> None:
-    figure = learning_curves({("", "short"): learner(10, episodes=30)}, rng())
+    figure = plots.learning_curves({("", "short"): learner(10, episodes=30)}, rng())
     assert "running mean of 3 episodes" in figure.get_suptitle()
 
 
 def test_curve_shorter_than_the_window_is_left_out() -> None:
-    figure = learning_curves({**CURVES, ("", "begun"): learner(10, episodes=5)}, rng(), window=20)
+    figure = plots.learning_curves({**CURVES, ("", "begun"): learner(10, episodes=5)}, rng(), window=20)
     assert legend_of(figure) == ["slow (!)", "quick (!)"]
 
 
 def test_curves_without_a_value_are_an_error() -> None:
     with pytest.raises(ExperimentError, match="explored"):
-        learning_curves({("", "a"): np.full((2, 100), np.nan)}, rng(), label="explored")
+        plots.learning_curves({("", "a"): np.full((2, 100), np.nan)}, rng(), label="explored")
 
 
 def test_single_trial_is_drawn_without_a_band() -> None:
-    figure = learning_curves({("", "one"): learner(10, trials=1)}, rng())
+    figure = plots.learning_curves({("", "one"): learner(10, trials=1)}, rng())
     assert "over 1 trial," in figure.get_suptitle()
     assert not [path for band in figure.axes[0].collections for path in band.get_paths()]
 
 
 def test_scatter_shows_every_episode_of_every_trial() -> None:
-    figure = scatter(LEARNERS, window=20)
+    figure = plots.scatter(LEARNERS, window=20)
     assert [axes.get_title(loc="left").replace("\N{NO-BREAK SPACE}", " ") for axes in figure.axes] == [
         "slow (4 trials)",
         "quick (4 trials)",
@@ -128,7 +121,7 @@ def test_scatter_shows_every_episode_of_every_trial() -> None:
 
 
 def test_scatter_has_the_reference_in_every_panel() -> None:
-    figure = scatter(LEARNERS, reference=("sample agent", learner(30)))
+    figure = plots.scatter(LEARNERS, reference=("sample agent", learner(30)))
     assert "sample agent" in legend_of(figure)
     for axes in figure.axes:
         (line,) = [line for line in axes.lines if line.get_label() == "sample agent"]
@@ -137,7 +130,7 @@ def test_scatter_has_the_reference_in_every_panel() -> None:
 
 def test_comparison_marks_mean_and_interquartile_mean() -> None:
     reached = np.array([1.0, 2.0, 3.0, 10.0])
-    (axes,) = comparison({"": {"a": reached, "b": reached + 5}}, rng(), final=FINAL).axes
+    (axes,) = plots.comparison({"": {"a": reached, "b": reached + 5}}, rng(), final=FINAL).axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a (!)", "b (!)"]
     marks = {
         (line.get_label(), float(np.asarray(line.get_xdata())[0]))
@@ -149,7 +142,7 @@ def test_comparison_marks_mean_and_interquartile_mean() -> None:
 
 def test_comparison_has_a_panel_with_its_own_scale_for_each_environment() -> None:
     easy, hard, long = np.full(5, 100.0), np.zeros(2), "an environment " * 9
-    figure = comparison({"easy": {"a": easy, "b": easy}, long: {"a": hard}}, rng(), final=FINAL)
+    figure = plots.comparison({"easy": {"a": easy, "b": easy}, long: {"a": hard}}, rng(), final=FINAL)
     figure.draw_without_rendering()
     panels = figure.axes
     lines = [line for axes in panels for line in axes.lines if line.get_label() == "mean"]
@@ -161,19 +154,19 @@ def test_comparison_has_a_panel_with_its_own_scale_for_each_environment() -> Non
 
 def test_interval_of_few_trials_is_marked() -> None:
     few, enough = ({"": {"a": np.arange(float(n))}} for n in (4, 5))
-    assert "unreliable" in comparison(few, rng(), final=FINAL).get_suptitle()
-    assert "unreliable" not in comparison(enough, rng(), final=FINAL).get_suptitle()
-    assert "unreliable" in learning_curves({("", "a"): np.ones((4, 3))}, rng()).get_suptitle()
+    assert "unreliable" in plots.comparison(few, rng(), final=FINAL).get_suptitle()
+    assert "unreliable" not in plots.comparison(enough, rng(), final=FINAL).get_suptitle()
+    assert "unreliable" in plots.learning_curves({("", "a"): np.ones((4, 3))}, rng()).get_suptitle()
 
 
 @pytest.mark.parametrize("empty", [{}, {"a": np.empty((0, 0))}])
 def test_nothing_to_draw_is_an_error(empty: dict[str, FloatArray]) -> None:
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
-        learning_curves({("", name): values for name, values in empty.items()}, rng())
+        plots.learning_curves({("", name): values for name, values in empty.items()}, rng())
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
-        scatter(empty)
+        plots.scatter(empty)
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
-        comparison({"": empty}, rng(), final=FINAL)
+        plots.comparison({"": empty}, rng(), final=FINAL)
 
 
 def test_each_environment_has_a_panel_with_its_own_scale_and_an_agent_one_look() -> None:
@@ -182,7 +175,7 @@ def test_each_environment_has_a_panel_with_its_own_scale_and_an_agent_one_look()
         for environment, height in (("low", 10), ("high", 900))
         for agent, trials in (("a", 5), ("b", 2))
     }
-    figure = learning_curves(curves, rng(), layout=Layout("Mine", (7.0, 3.0), 1))
+    figure = plots.learning_curves(curves, rng(), layout=plots.Layout("Mine", (7.0, 3.0), 1))
     low, high = figure.axes
     assert [axes.get_title(loc="left") for axes in (low, high)] == ["low", "high"]
     assert low.get_ylim()[1] < 100 < high.get_ylim()[1]
@@ -190,7 +183,7 @@ def test_each_environment_has_a_panel_with_its_own_scale_and_an_agent_one_look()
     assert legend_of(figure) == ["a", "b (!)"]
     assert (figure.get_suptitle(), tuple(figure.get_size_inches())) == ("Mine", (7.0, 3.0))
     assert low.get_position().x0 == high.get_position().x0  # one below the other
-    apart = profiles({key: values[:, -1] for key, values in curves.items()})
+    apart = plots.profiles({key: values[:, -1] for key, values in curves.items()})
     assert [axes.get_title(loc="left") for axes in apart.axes] == ["low", "high"]
 
 
@@ -198,7 +191,7 @@ def test_figures_are_the_same_byte_for_byte(tmp_path: Path) -> None:
     for kind in ("png", "svg", "pdf"):
         one, two = (tmp_path / f"{attempt}.{kind}" for attempt in ("one", "two"))
         for path in (one, two):
-            save(learning_curves(CURVES, rng()), path)
+            plots.save(plots.learning_curves(CURVES, rng()), path)
         assert one.read_bytes() == two.read_bytes()
     assert xml.etree.ElementTree.fromstring((tmp_path / "one.svg").read_bytes()).tag.endswith("svg")
     with Image.open(tmp_path / "one.png") as image:
@@ -207,9 +200,9 @@ def test_figures_are_the_same_byte_for_byte(tmp_path: Path) -> None:
 
 
 def test_users_style_neither_changes_a_figure_nor_is_changed(tmp_path: Path) -> None:
-    save(learning_curves(CURVES, rng()), tmp_path / "plain.svg")
+    plots.save(plots.learning_curves(CURVES, rng()), tmp_path / "plain.svg")
     with mpl.rc_context({"font.size": 30, "axes.grid": False}):
-        save(learning_curves(CURVES, rng()), tmp_path / "styled.svg")
+        plots.save(plots.learning_curves(CURVES, rng()), tmp_path / "styled.svg")
         assert mpl.rcParams["font.size"] == 30
     assert (tmp_path / "plain.svg").read_bytes() == (tmp_path / "styled.svg").read_bytes()
 
@@ -219,11 +212,11 @@ def test_users_style_neither_changes_a_figure_nor_is_changed(tmp_path: Path) -> 
 )
 def test_figure_that_cannot_be_written_leaves_nothing(tmp_path: Path, name: str, why: str) -> None:
     with pytest.raises(ExperimentError, match=why):
-        save(scatter(LEARNERS), tmp_path / name)
+        plots.save(plots.scatter(LEARNERS), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_missing_matplotlib_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ExperimentError, match=r"need matplotlib: pip install 'glue-rl\[plot\]'"):
-        scatter(LEARNERS)
+        plots.scatter(LEARNERS)

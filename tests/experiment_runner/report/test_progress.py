@@ -68,18 +68,18 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return Terminal()
 
 
-def begun(stream: io.StringIO, clock: Clock, *specs: TrialSpec) -> Progress:
-    progress = Progress(stream, clock)
-    progress.start(records(*specs))
+def begun(
+    stream: io.StringIO, clock: Clock, *specs: TrialSpec, done: int = 0, color: bool = False
+) -> Progress:
+    progress = Progress(stream, clock, color=color)
+    progress.start(records(*specs, done=done))
     for spec in specs:
-        progress.begin(spec, 0, 0)
+        progress.begin(spec, done, 0)
     return progress
 
 
 def test_table_of_one_trial_shows_rate_mean_and_time_left(terminal: Terminal, clock: Clock) -> None:
-    progress = Progress(terminal, clock)
-    progress.start(records(FIRST, done=10))
-    progress.begin(FIRST, 10, 0)
+    progress = begun(terminal, clock, FIRST, done=10)
     for episode, value in ((11, 1.0), (12, 4.0)):
         clock.now += 0.5
         progress.episode(FIRST, result(episode, value))
@@ -146,10 +146,8 @@ def test_table_of_many_trials_is_redrawn_in_place(terminal: Terminal, clock: Clo
 
 def test_table_fits_the_terminal(terminal: Terminal, clock: Clock) -> None:
     many = Plan(episodes=50, trials=30, agents=(RoleSweep("sarsa", label="x" * 90),)).expand()
-    progress = Progress(terminal, clock)
-    progress.start(records(*many))
+    progress = begun(terminal, clock, *many)
     for spec in many:
-        progress.begin(spec, 0, 0)
         clock.now += 1
         progress.episode(spec, result(1))
     screen = terminal.screen()
@@ -171,10 +169,7 @@ def test_narrow_terminal_shows_what_matters_most(terminal: Terminal, monkeypatch
 
 @pytest.mark.parametrize("color", [False, True])
 def test_bar_has_a_color_unless_that_is_not_wanted(terminal: Terminal, color: bool) -> None:
-    progress = Progress(terminal, Clock(1000.0), color=color)
-    progress.start(records(FIRST))
-    progress.begin(FIRST, 0, 0)
-    progress.episode(FIRST, result(25))
+    begun(terminal, Clock(1000.0), FIRST, color=color).episode(FIRST, result(25))
     assert ("\x1b[32m" in terminal.getvalue()) is color
 
 

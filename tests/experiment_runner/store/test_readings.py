@@ -19,8 +19,7 @@ from experiment_runner.store.records import Checkpoint, EpisodeResult, Reading
 from experiment_runner.store.results import Results
 from experiment_runner.store.schema import MIGRATIONS
 from experiment_runner.store.store import Store
-from glue.engine.local import local
-from glue.errors import ExperimentError
+from glue import ExperimentError, local
 from tests.players import ScriptedAgent, ScriptedEnvironment
 
 PLAN = Plan(episodes=30, trials=2, environments=(RoleSweep("mines", {}),), agents=(RoleSweep("sarsa", {}),))

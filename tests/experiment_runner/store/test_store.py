@@ -13,6 +13,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -80,9 +81,8 @@ def start(program: str, *arguments: object) -> subprocess.Popen[str]:
     """Start a Python program without coverage, which could not write its data if file sizes are limited."""
     command = [sys.executable, "-c", program, *map(str, arguments)]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
-    )
+    pipes: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    return subprocess.Popen(command, **pipes, text=True, env=environment)
 
 
 def test_reader_sees_each_episode_as_soon_as_it_is_recorded(store: Store) -> None:
@@ -410,8 +410,7 @@ sys.stdin.read()
 @pytest.mark.parametrize("child_is", ["started", "forked"])
 def test_killed_writer_lets_go_though_its_child_lives_on(store: Store, child_is: str) -> None:
     store.close()
-    command = [sys.executable, "-c", HOLD, str(store.directory), child_is]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with start(HOLD, store.directory, child_is) as process:
         assert process.stdout is not None
         child = int(process.stdout.readline())
         with pytest.raises(ExperimentError, match=f"in use by process {process.pid} on"):

@@ -16,9 +16,7 @@ import pytest
 
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
-from glue import make, make_agent
-from glue.client.players import serve_agent, serve_environment
-from glue.errors import GlueError
+from glue import GlueError, make, make_agent, serve_agent, serve_environment
 from tests import forked
 from tests.keyed import KeyFolder
 from tests.scripted.peer import TIMEOUT
@@ -88,14 +86,6 @@ def test_a_hub_takes_no_list_that_others_can_write(tmp_path: Path) -> None:
         hub.wait_for("read again: 1 key may join")
 
 
-@contextmanager
-def open_temporary_directory() -> Iterator[Path]:
-    """A folder that every user may enter, like /tmp."""
-    with tempfile.TemporaryDirectory(dir="/tmp") as made:
-        Path(made).chmod(0o1777)
-        yield Path(made)
-
-
 def as_nobody(path: Path) -> str:
     """Return the name of the error that another user gets on connecting to a Unix socket; empty if none."""
     program = (
@@ -127,8 +117,10 @@ def listening(pid: int) -> set[str]:
 def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with open_temporary_directory() as temporary:
-        monkeypatch.setenv("TMPDIR", str(temporary))
+    with tempfile.TemporaryDirectory(dir="/tmp") as made:
+        temporary = Path(made)
+        temporary.chmod(0o1777)  # every user may enter it, like /tmp
+        monkeypatch.setenv("TMPDIR", made)
         with start("--env", "mines", "--agent", "random", "--episodes", "1000000", cwd=tmp_path) as process:
             wait_until(lambda: list(temporary.glob("glue-*/hub")), "the meeting place")
             [path] = temporary.glob("glue-*/hub")

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from glue.engine.experiment import Experiment
-from glue.roles import Agent, Environment
-from glue.types import AbstractType, Action, Observation
+from glue import Action, Agent, Environment, Experiment, Observation
+from glue.types import AbstractType
 from glue.wire.messages import Kind, Value
 
 TIMEOUT = 30.0

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any
 
 import pytest
 import zmq
 
-from glue.client.experiment import RemoteExperiment, connect
+from glue import Agent, Environment, connect, serve_agent, serve_environment
+from glue.client.experiment import RemoteExperiment
 from glue.client.libzmq import Context
-from glue.client.players import serve_agent, serve_environment
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy import peers
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPeer, LegacyPlayer
-from glue.roles import Agent, Environment
 from glue.wire.messages import MAX_BODY, Message
 from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, OriginalExperiment, Style, play
 from tests.system.runs import wait_until
@@ -62,6 +61,7 @@ class Rig:
         self.hub = hub
         self.url = hub.endpoints[0]
         self.log = log
+        self.experiments = ExitStack()
         self._context = context
         self._ports = {port.session: port.port for port in gateway.ports}
         self._threads: list[threading.Thread] = []
@@ -76,15 +76,14 @@ class Rig:
         return Connection(self.port(session), style)
 
     def experiment(self, style: Style = C, session: str = "default") -> OriginalExperiment:
-        """Connect as an original experiment."""
-        return OriginalExperiment(self.connect(style, session))
+        """Connect as an original experiment, which leaves before the hub ends."""
+        return self.experiments.enter_context(OriginalExperiment(self.connect(style, session)))
 
     def settle(self) -> None:
         """Wait until the hub has acted on everything it has received so far."""
-        aside = self.experiment(session=_ASIDE)
-        for _ in range(2):
-            aside.rl_num_steps()
-        aside.close()
+        with OriginalExperiment(self.connect(session=_ASIDE)) as aside:
+            for _ in range(2):
+                aside.rl_num_steps()
 
     def wait_until_empty(self, session: str) -> None:
         """Wait until a session has no peers any more.
@@ -99,10 +98,10 @@ class Rig:
         """Connect as one of our experiments."""
         return connect(self.url, session, context=self._context)
 
-    def originals(self, *players: Agent | Environment, style: Style = C, session: str = "default") -> None:
+    def originals(self, *players: Agent | Environment, style: Style = C) -> None:
         """Let players play as original programs, each in a thread."""
         for player in players:
-            self._start(partial(play, player, self.connect(style, session)))
+            self._start(partial(play, player, self.connect(style)))
 
     def ours(self, *players: Agent | Environment, session: str = "default") -> None:
         """Let our players play, each in a thread."""
@@ -148,7 +147,7 @@ def gateway(
         ports = [LegacyPort(0, session) for session in (*(sessions or ("default",)), _ASIDE)]
         rig = Rig(hub, Gateway(hub, ports, log), context, log)
         try:
-            with hub.in_background():
+            with hub.in_background(), rig.experiments:
                 yield rig
         finally:
             rig.join()

@@ -10,12 +10,11 @@ from pathlib import Path
 import click
 import pytest
 
+from agents.mario.runner import RunRightAgent
 from experiment_runner.cli.experiment import experiment
 from glue.cli.hub import hub
 from glue.legacy import bodies, codec, pending
 from glue.legacy.experiment import READ_AHEAD
-from glue.roles import Agent
-from glue.types import Action, Observation
 from tests.pages import DOCS, section
 from tests.system.legacy.legacy_client import STYLES, Connection, Id, play
 from tests.system.legacy.legacy_rig import gateway
@@ -84,16 +83,6 @@ COMPILATION = 300.0
 """Seconds allowed for compiling the simulator at its first start, even on a busy machine."""
 
 
-class Runner(Agent):
-    """Runs to the right."""
-
-    def agent_start(self, observation: Observation) -> Action:
-        return Action([1, 0, 1])
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        return Action([1, 0, 1])
-
-
 @pytest.mark.stage("docs")
 def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
     text = section(TEXT, "An example: an original agent on our Mario")
@@ -108,12 +97,12 @@ def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
         ]
         second = second.replace("4097", found[0])
         with closing(Terminal(*shlex.split(second), cwd=tmp_path)) as experiment:
-            play(Runner(), Connection(int(found[2]), STYLES["java"], timeout=COMPILATION))
+            play(RunRightAgent(), Connection(int(found[2]), STYLES["java"], timeout=COMPILATION))
             assert experiment.end() == 0
             experiment.wait_for(r"/mario/0 .* 3/3 ")
         for line in re.findall(rf"^    {TIME} (session .*)$", text, re.MULTILINE):
             hub.wait_for(rf"^{TIME} {re.escape(line).replace('41360', NUMBER)}")
     with closing(Terminal(*shlex.split(alone), *BIND, "--out", "alone", cwd=tmp_path)) as experiment:
         port = int(experiment.wait_for(r"programs .*on 127\.0\.0\.1:(\d+)")[1])
-        play(Runner(), Connection(port, STYLES["c"]))
+        play(RunRightAgent(), Connection(port, STYLES["c"]))
         assert experiment.end() == 0

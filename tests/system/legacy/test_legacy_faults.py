@@ -9,30 +9,28 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import replace
+from typing import NoReturn
 
 import numpy as np
 import pytest
 
+from glue import Action, HubClosed, LocalProtocolError, Observation, PeerFailed, PeerLost
 from glue.client.experiment import RemoteExperiment
-from glue.errors import HubClosed, LocalProtocolError, PeerFailed, PeerLost
 from glue.hub.channel import Channel
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
 from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.gateway import Gateway
 from glue.legacy.peers import LegacyPlayer
-from glue.roles import Agent, Environment
-from glue.types import Action, Observation
 from glue.wire.messages import Kind, Message
 from tests import weighing
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.players import At, ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_client import TIMEOUT, Closed, Connection, Die, Id, OriginalExperiment, pack
 from tests.system.legacy.legacy_rig import Log, Rig, gateway
 
 ROLES = (Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION)
 EMPTY = pack(Action())
-HEALTHY = (MirrorAgent, FiveStepEnvironment)
 TERMINATE = struct.pack(">iI", Id.RL_TERM, 0)
 
 
@@ -63,70 +61,50 @@ def run_test_1(rig: Rig) -> None:
     rig.join()
 
 
-class MortalAgent(MirrorAgent):
-    """Dies in its third step."""
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        if self._counter == 2:
-            raise Die
-        return super().agent_step(reward, observation)
+def die() -> NoReturn:
+    raise Die
 
 
-class MortalEnvironment(FiveStepEnvironment):
-    """Dies in its third step."""
-
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        if self._counter == 2:
-            raise Die
-        return super().env_step(action)
+STEPS = ("agent_step", "env_step")
 
 
-MORTALS = (MortalAgent, MortalEnvironment)
+def let_die(rig: Rig, step: str) -> None:
+    """Let two original players play, of which one dies in its third step."""
+    before = At(step, 3, die)
+    rig.originals(ScriptedAgent(before=before), ScriptedEnvironment(5, before=before))
 
 
-def let_die(rig: Rig, mortal: type[Agent | Environment]) -> None:
-    """Let two original players play, one of them mortal."""
-    rig.originals(*(mortal() if issubclass(mortal, each) else each() for each in HEALTHY))
+def send_another(rig: Rig, step: str) -> None:
+    """Let a healthy player replace the one that died."""
+    rig.originals(ScriptedAgent() if step == "agent_step" else ScriptedEnvironment(5))
 
 
-def send_another(rig: Rig, mortal: type[Agent | Environment]) -> None:
-    """Let a healthy player replace the mortal one."""
-    rig.originals(*(each() for each in HEALTHY if issubclass(mortal, each)))
-
-
-@pytest.mark.parametrize("mortal", MORTALS)
-def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(
-    rig: Rig, mortal: type[Agent | Environment]
-) -> None:
-    let_die(rig, mortal)
+@pytest.mark.parametrize("step", STEPS)
+def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(rig: Rig, step: str) -> None:
+    let_die(rig, step)
     glue = rig.experiment()
     glue.rl_init()
     glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
     rig.log.wait_for("to begin RL_EPISODE again")
-    send_another(rig, mortal)
+    send_another(rig, step)
     assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
     assert (glue.rl_num_steps(), glue.rl_num_episodes(), glue.rl_return()) == (5, 1, 5.0)
-    glue.close()
 
 
-@pytest.mark.parametrize("mortal", MORTALS)
+@pytest.mark.parametrize("step", STEPS)
 def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_stays(
-    rig: Rig, mortal: type[Agent | Environment]
+    rig: Rig, step: str
 ) -> None:
-    let_die(rig, mortal)
+    let_die(rig, step)
     glue = rig.experiment()
     glue.rl_init()
     glue.rl_start()
     assert glue.rl_step().terminal == glue.rl_step().terminal == 0
     with pytest.raises(ConnectionResetError):
         glue.rl_step()
-    glue.close()
     rig.log.wait_for("was cut off: its protocol cannot say that RL_STEP failed")
-    send_another(rig, mortal)
-    glue = rig.experiment()
-    glue.rl_init()
-    assert glue.rl_episode(0) == 1
-    glue.close()
+    send_another(rig, step)
+    play(rig)
 
 
 @pytest.mark.parametrize("request_id", [Id.RL_INIT, Id.RL_START, Id.RL_CLEANUP, Id.RL_ENV_MESSAGE])
@@ -142,7 +120,6 @@ def test_any_call_that_can_be_made_anew_is(rig: Rig, request_id: Id) -> None:
     environment.reset()
     rig.originals(FiveStepEnvironment())
     assert glue.connection.receive()[0] == request_id
-    glue.close()
 
 
 ONE = pack(Action([1]))
@@ -330,7 +307,6 @@ def test_a_second_of_a_role_is_turned_away_and_the_first_stays(rig: Rig, role: I
     rig.log.wait_for("refused a peer of session 'default'")
     assert glue.rl_step().terminal == 0
     assert glue.rl_agent_message("still there") == "still there|1.|still there"
-    glue.close()
 
 
 @pytest.mark.parametrize("role", [None, *ROLES])
@@ -362,7 +338,6 @@ def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_ru
     rig.originals(MirrorAgent())
     assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
     assert glue.rl_num_steps() == 3
-    glue.close()
 
 
 def test_an_answer_without_a_call_is_a_fault(rig: Rig) -> None:
@@ -390,8 +365,7 @@ def let_our_environment_raise() -> None:
 
 def test_a_step_ends_the_wait_for_the_end_of_a_text(rig: Rig) -> None:
     rig.originals(MirrorAgent(), FiveStepEnvironment())
-    with closing(rig.connect()) as glue:
-        glue.send(Id.EXPERIMENT_CONNECTION)
+    with closing(join(rig, Id.EXPERIMENT_CONNECTION)) as glue:
         glue.send(Id.RL_INIT)
         glue.receive()
         glue.send(Id.RL_START)
@@ -441,7 +415,6 @@ def test_an_experiment_that_does_not_read_is_not_answered_any_further(rig: Rig) 
         message_id, payload = glue.connection.receive()
         assert (message_id, len(payload)) == (Id.RL_ENV_START, 12 + 8 * 100_000)
     assert len(calls) == count
-    glue.close()
 
 
 class BigEnvironment(ScriptedEnvironment):
@@ -476,13 +449,13 @@ def test_a_hub_that_ends_lets_an_agent_finish_its_thought() -> None:
 
 def test_a_hub_that_ends_does_not_wait_forever() -> None:
     with gateway() as rig:
-        agent, silent = join(rig, Id.AGENT_CONNECTION), rig.connect()
-        glue = rig.experiment()
-        glue.connection.send(Id.RL_AGENT_START, EMPTY)
+        agent, experiment = join(rig, Id.AGENT_CONNECTION), join(rig, Id.EXPERIMENT_CONNECTION)
+        silent = rig.connect()
+        experiment.send(Id.RL_AGENT_START, EMPTY)
         agent.receive()
     assert ending(agent) == TERMINATE
     assert ending(silent) == b""
-    assert_reset(glue.connection)
+    assert_reset(experiment)
 
 
 # Errors of the gateway itself, its log, and its share of the hub's memory: no other session notices them.
@@ -510,19 +483,17 @@ def check_ended(connection: Connection) -> None:
 
 
 def play(rig: Rig) -> None:
-    """Play an episode in the session without the fault."""
-    experiment = rig.experiment()
-    experiment.rl_init()
-    assert experiment.rl_episode(0) == 1
-    experiment.close()
+    """Play an episode in the session without a fault."""
+    with rig.experiment() as glue:
+        glue.rl_init()
+        assert glue.rl_episode(0) == 1
 
 
 @pytest.mark.parametrize("role", [Id.AGENT_CONNECTION, Id.EXPERIMENT_CONNECTION])
 def test_an_error_in_a_handler_costs_its_connection_and_role_alone(
     pair: Rig, role: Id, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    connection = pair.connect(session=FAULTY)
-    connection.send(role)
+    connection = join(pair, role, FAULTY)
     pair.log.wait_for("joined", times=3)
     with monkeypatch.context() as patch:
         patch.setattr(LegacyPlayer if role is Id.AGENT_CONNECTION else LegacyExperiment, "_work", raise_fault)
@@ -545,8 +516,7 @@ def test_an_error_in_a_delivery_costs_the_receiver_and_not_the_sender(
         return deliver(player, message)
 
     monkeypatch.setattr(LegacyPlayer, "_take", take)
-    agent = pair.connect(session=FAULTY)
-    agent.send(Id.AGENT_CONNECTION)
+    agent = join(pair, Id.AGENT_CONNECTION, FAULTY)
     pair.log.wait_for("joined", times=3)
     with pair.native(FAULTY) as experiment:
         # All have joined; from now on the hub waits only briefly for one that cannot be reached.
@@ -570,8 +540,7 @@ def test_a_body_that_is_larger_than_the_hub_takes_is_a_fault(pair: Rig) -> None:
 
 def test_bytes_of_original_programs_count_and_the_largest_holder_is_dropped(pair: Rig) -> None:
     announced = 12 + 4 * 500_000
-    program = pair.connect(session=FAULTY)
-    program.send(Id.EXPERIMENT_CONNECTION)
+    program = join(pair, Id.EXPERIMENT_CONNECTION, FAULTY)
     with suppress(ConnectionError):  # dropped before all is sent
         program.send_raw(struct.pack(">iI", Id.RL_ENV_STEP, announced) + bytes(announced - 1))
     pair.log.wait_for("was dropped: it used 1 MiB")

@@ -57,25 +57,16 @@ class Arena:
         self._open.clear()
         self.rig.wait_until_empty(self.attacked)
 
-    def close(self) -> None:
-        self._bystander.close()
-
 
 @pytest.fixture(scope="module")
 def arena() -> Iterator[Arena]:
     with gateway("default", ATTACKED, *FLOODS) as rig:
-        arena = Arena(rig)
-        yield arena
-        arena.close()
+        yield Arena(rig)
 
 
 # Each scene returns the connection that attacks, in a certain state.
 
 Scene = Callable[[Arena], Connection]
-
-
-def unknown(arena: Arena) -> Connection:
-    return arena.connect()
 
 
 def idle(role: Id) -> Scene:
@@ -94,11 +85,17 @@ def asked(role: Id, request: Id, payload: bytes, call: Id) -> Scene:
     return scene
 
 
-def dismissed(arena: Arena) -> Connection:
-    """An agent whose answer is no longer needed."""
+def under_way(arena: Arena) -> tuple[Connection, Connection]:
+    """Return an agent and an experiment that has asked for its action."""
     agent, glue = arena.join(Id.AGENT_CONNECTION), arena.join(Id.EXPERIMENT_CONNECTION)
     glue.send(Id.RL_AGENT_START, EMPTY)
     agent.receive()
+    return agent, glue
+
+
+def dismissed(arena: Arena) -> Connection:
+    """An agent whose answer is no longer needed."""
+    agent, glue = under_way(arena)
     glue.reset()
     return agent
 
@@ -110,17 +107,9 @@ def abandoned(arena: Arena) -> Connection:
     return agent
 
 
-def waiting(arena: Arena) -> Connection:
-    """An experiment whose call is under way."""
-    agent, glue = arena.join(Id.AGENT_CONNECTION), arena.join(Id.EXPERIMENT_CONNECTION)
-    glue.send(Id.RL_AGENT_START, EMPTY)
-    agent.receive()
-    return glue
-
-
 AGENT, ENVIRONMENT, EXPERIMENT = Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION
 SCENES: dict[str, Scene] = {
-    "without a role": unknown,
+    "without a role": Arena.connect,
     "agent, idle": idle(AGENT),
     "agent, step": asked(AGENT, Id.RL_AGENT_STEP, bytes(8) + EMPTY, Id.AGENT_STEP),
     "agent, message": asked(AGENT, Id.RL_AGENT_MESSAGE, TEXT, Id.AGENT_MESSAGE),
@@ -129,7 +118,7 @@ SCENES: dict[str, Scene] = {
     "environment, idle": idle(ENVIRONMENT),
     "environment, start": asked(ENVIRONMENT, Id.RL_START, b"", Id.ENV_START),
     "experiment, idle": idle(EXPERIMENT),
-    "experiment, waiting": waiting,
+    "experiment, waiting": lambda arena: under_way(arena)[1],
 }
 
 

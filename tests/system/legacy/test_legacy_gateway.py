@@ -9,10 +9,7 @@ import pytest
 
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
-from glue.engine.experiment import Experiment
-from glue.engine.local import local
-from glue.errors import PeerFailed
-from glue.types import Action, Observation, Step
+from glue import Action, Experiment, Observation, PeerFailed, Step, local
 from tests.glue.engine.test_beside_players import ACTION, FULL, Seeing, Showing
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent, Seen
@@ -98,7 +95,6 @@ def test_half_steps_go_to_one_side_alone_and_leave_the_last_action_as_it_was(rig
         "env_step [8]",
         "agent_end 2.5",
     ]
-    glue.close()
 
 
 def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> None:
@@ -110,16 +106,13 @@ def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> No
     glue.close()
     rig.log.wait_for("was dismissed")
     rig.originals(FiveStepEnvironment())
-    glue = rig.experiment()
-    glue.rl_init()
-    glue.close()
+    rig.experiment().rl_init()
     assert calls == ["agent_init sample task spec"] * 2
 
 
 def test_an_episode_counts_as_steps_only_if_it_went_on_after_one(rig: Rig) -> None:
     environment = ScriptedEnvironment(length=1)
-    rig.ours(ScriptedAgent())
-    rig.ours(environment)
+    rig.ours(ScriptedAgent(), environment)
     glue = rig.experiment()
     glue.rl_init()
     for length, max_steps, expected in ((1, 0, Action()), (2, 1, Action()), (2, 2, Action([100]))):
@@ -128,14 +121,11 @@ def test_an_episode_counts_as_steps_only_if_it_went_on_after_one(rig: Rig) -> No
         environment.length = 1
         glue.rl_start()
         assert glue.rl_step().action == expected
-    glue.close()
 
 
 def test_bytes_that_are_not_utf8_pass_unchanged(rig: Rig) -> None:
     rig.ours(SCENARIOS["test_message"].agent())
-    glue = rig.experiment()
-    assert glue.rl_agent_message("\udcff\udc80") == "\udcff\udc80"
-    glue.close()
+    assert rig.experiment().rl_agent_message("\udcff\udc80") == "\udcff\udc80"
 
 
 def test_a_million_of_each_is_the_maximum_an_original_is_sent(rig: Rig) -> None:
@@ -161,5 +151,4 @@ def test_original_programs_are_shown_neither_masks_nor_extras(rig: Rig) -> None:
     assert glue.rl_step().observation == BARE
     assert glue.rl_env_start() == BARE
     assert glue.rl_env_step(ACTION).observation == BARE
-    glue.close()
     assert agent.seen == [BARE] * 2

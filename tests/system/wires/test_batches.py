@@ -9,9 +9,8 @@ import pytest
 
 from agents.baselines import RandomAgent
 from env_server.toys import SkeletonEnvironment
-from glue import connect, local
+from glue import Experiment, connect, local
 from glue.client.sockets import SocketTransport
-from glue.engine.experiment import Experiment
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from tests.hubs import serving

@@ -10,17 +10,14 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
+from glue import Action, Observation, PeerLost, local, serve_environment
 from glue.client.experiment import RemoteExperiment, connect_over
-from glue.client.players import serve_environment
-from glue.engine.local import local
-from glue.errors import PeerLost
 from glue.hub.config import HubConfig
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
-from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT
-from tests.scripted.process import ROOT, peer
+from tests.scripted.process import ROOT
 from tests.system.test_faults import chain
 from tests.system.wires import networks
 from tests.system.wires.networks import NEAR, Networks
@@ -74,8 +71,8 @@ def run(
         thread.start()
         ending.callback(thread.join, TIMEOUT)
         ending.callback(hub.stop, "over")
-        player = peer("agent", near, "tests.players:ChainAgent", libzmq)
-        agent = ["ip", "netns", "exec", hosts.far, sys.executable, *player]
+        agent = ["ip", "netns", "exec", hosts.far, sys.executable, "-m", "tests.scripted.process"]
+        agent += ["agent", near, "tests.players:ChainAgent", *["libzmq"] * libzmq]
         process = subprocess.Popen(agent, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         ending.callback(process.wait)
         ending.callback(process.kill)

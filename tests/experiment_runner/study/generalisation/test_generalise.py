@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,8 @@ from experiment_runner.study.generalisation.players import (
     set_name,
 )
 from experiment_runner.study.generalisation.summary import summarise, table
-from glue import Action, Observation
-from glue.engine.experiment import Experiment
-from glue.engine.local import LocalExperiment, local
-from glue.errors import ConfigError, ExperimentError
-from glue.roles import Agent
+from glue import Action, Agent, ConfigError, Experiment, ExperimentError, Observation, local
+from glue.engine.local import LocalExperiment
 
 TASK = InfiniteMario().parameters
 
@@ -112,9 +110,12 @@ def few_levels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def players(learn: int, relearn: int) -> LocalExperiment:
-    """Return an experiment with both players of a benchmark of seven levels."""
+    """Return an experiment that has begun, with both players of a benchmark of seven levels."""
     agent = SetBack(agent=f"{__file__}:Learner", learn=learn, relearn=relearn)
-    return local(agent, NumberedLevels(train="few", sets="few,unseen", learn=learn, relearn=relearn, seed=1))
+    levels = NumberedLevels(train="few", sets="few,unseen", learn=learn, relearn=relearn, seed=1)
+    glue = local(agent, levels)
+    glue.rl_init(1)
+    return glue
 
 
 def episodes(glue: Experiment, count: int) -> list[tuple[str, int, float, str]]:
@@ -130,7 +131,6 @@ def episodes(glue: Experiment, count: int) -> list[tuple[str, int, float, str]]:
 @pytest.mark.usefixtures("few_levels")
 def test_every_level_is_scored_from_what_was_learned_on_the_training_levels() -> None:
     with players(learn=5, relearn=2) as glue:
-        glue.rl_init(1)
         scored = episodes(glue, 5 + 7 * 3)[5 + 2 :: 3]
         assert glue.rl_agent_message("at load") == str([5] + [5 + 2 + 1] * 6)
     task = LEVEL_SETS["few"].level(TASK, 1)
@@ -143,15 +143,12 @@ def test_every_level_is_scored_from_what_was_learned_on_the_training_levels() ->
 @pytest.mark.usefixtures("few_levels")
 def test_a_benchmark_continues_from_what_both_players_have_saved() -> None:
     with players(learn=5, relearn=1) as glue:
-        glue.rl_init(1)
         whole = episodes(glue, 19)
     for at in (0, 2, 5, 6, 9, 18):
         with players(learn=5, relearn=1) as glue:
-            glue.rl_init(1)
             first = episodes(glue, at)
             saved = glue.rl_env_save(), glue.rl_agent_save()
         with players(learn=5, relearn=1) as glue:
-            glue.rl_init(1)
             glue.rl_env_load(saved[0])
             glue.rl_agent_load(saved[1])
             assert first + episodes(glue, 19 - at) == whole
@@ -197,10 +194,7 @@ def test_scores_are_those_of_the_level(tmp_path: Path, monkeypatch: pytest.Monke
     assert [score["level"] for score in trial["few"]] == list(range(12))
     for score in trial["few"]:
         task = LEVEL_SETS["few"].level(TASK, score["level"])
-        mario = InfiniteMario(
-            level_seed=task.level_seed, level_type=task.level_type, level_difficulty=task.level_difficulty
-        )
-        glue = local(RunRightAgent(), mario)
+        glue = local(RunRightAgent(), InfiniteMario(**asdict(task)))
         glue.rl_init()
         glue.rl_episode()
         played = glue.rl_return(), glue.rl_return() > 50, glue.rl_num_steps()

@@ -17,8 +17,7 @@ from experiment_runner.study.generalisation import benchmark
 from experiment_runner.study.generalisation.benchmark import read_scores
 from experiment_runner.study.generalisation.players import ACTIONS, Noise, digit_of
 from experiment_runner.study.generalisation.verification import differences
-from glue import Action
-from glue.errors import ConfigError
+from glue import Action, ConfigError
 
 
 @pytest.fixture
