@@ -117,8 +117,8 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def as_json(board: object) -> str:
-    """Return a board as a JSON object; a missing number is null."""
-    return json.dumps(plain(board), indent=2) + "\n"
+    """Return a board, or boards by name, as a JSON object; a missing number is null."""
+    return json.dumps(json.loads(msgspec.json.encode(board)), indent=2) + "\n"
 
 
 def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
@@ -137,9 +137,3 @@ def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
 def _timed(board: Standings) -> bool:
     """Return whether an entrant with a place has played a task with a rate."""
     return any(not math.isnan(one.late) for one in board.entrants if one.place is not None)
-
-
-def plain(board: object) -> object:
-    """Return a board as JSON has it; a missing number is None."""
-    found: object = msgspec.json.decode(msgspec.json.encode(board))
-    return found

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from experiment_runner.competition.board.forms import LATE, csv_text, laid_out, line_of, number, plain
+from experiment_runner.competition.board.forms import LATE, as_json, csv_text, laid_out, line_of, number
 from experiment_runner.competition.board.standings import Standings, standings
 from experiment_runner.competition.course import Course
 from experiment_runner.competition.records.journal import utc_now
@@ -71,7 +70,7 @@ def boards_as_json(results: Results, course: Course) -> str:
         found["season"] = season_board(results, course, course.acts[-1].when, ORGANISER)
     if course.competition.testing:
         found["standings"] = standings(results, course)
-    return json.dumps({name: plain(board) for name, board in found.items()}, indent=2) + "\n"
+    return as_json(found)
 
 
 Grades = Sequence[tuple[str, float]]

@@ -280,7 +280,7 @@ class Server(Matches):
 
     def _organise(self, wanted: control.Organise) -> Reply:
         acts = acts_for(wanted, self._course, (), self._now())
-        self._named |= {new.entrant.name: new.entrant for new in wanted.admitted}
+        self._named |= {entrant.name: entrant for entrant, _ in wanted.admitted}
         self._record(*acts)
         return {"acts": [line_of(one) for one in acts]}
 
