@@ -22,7 +22,7 @@ from glue.hub.config import DEFAULT_HUB
 
 KEPT: Final = "nothing is lost: start the same command again"
 
-_DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
+RUN = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
 
 def _reason(context: click.Context, option: click.Parameter, text: str) -> str:
@@ -119,7 +119,7 @@ def serve(
 
 
 @click.command()
-@_DIRECTORY
+@RUN
 @click.argument("file", type=FILE, metavar="FILE")
 @_WHY
 def add(directory: Path, file: Path, why: str) -> None:
@@ -134,7 +134,7 @@ def add(directory: Path, file: Path, why: str) -> None:
 
 
 @click.command()
-@_DIRECTORY
+@RUN
 @click.argument("entrants", nargs=-1, required=True, metavar="ENTRANT...")
 @_WHY
 def exclude(directory: Path, entrants: tuple[str, ...], why: str) -> None:
@@ -144,7 +144,7 @@ def exclude(directory: Path, entrants: tuple[str, ...], why: str) -> None:
 
 
 @click.command()
-@_DIRECTORY
+@RUN
 @click.argument("which", nargs=-1, required=True, metavar="TRIAL... | ENTRANT [ATTEMPT]")
 @_WHY
 def rerun(directory: Path, which: tuple[str, ...], why: str) -> None:
@@ -164,7 +164,7 @@ def rerun(directory: Path, which: tuple[str, ...], why: str) -> None:
 
 
 @click.command()
-@_DIRECTORY
+@RUN
 @click.argument("text", callback=_reason, metavar="TEXT")
 def announce(directory: Path, text: str) -> None:
     """Show a line of text on the board of the run in DIR."""
@@ -177,7 +177,7 @@ def _act(kind: str, summary: str, *arguments: Callable[[click.Command], click.Co
     def carry_out(directory: Path, why: str, **wish: Any) -> None:
         organise(directory, kind, why=why, **wish)
 
-    command = click.command(kind, help=summary)(_DIRECTORY(_WHY(carry_out)))
+    command = click.command(kind, help=summary)(RUN(_WHY(carry_out)))
     for argument in arguments:
         argument(command)
     return command

@@ -21,6 +21,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
     "msgpack": ["glue/extras.py", "glue/wire/*", "experiment_runner/executors/job.py"],
     "msgspec": [
+        "experiment_runner/competition/board/forms.py",
         "experiment_runner/competition/records/*",
         "experiment_runner/competition/season/*",
         "experiment_runner/competition/settings.py",

@@ -13,7 +13,7 @@ from typing import Final
 
 import msgspec
 
-from experiment_runner.competition.board.standings import Standing, Standings
+from experiment_runner.competition.board.standings import Standings
 from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
 from experiment_runner.report.tables import format_table
 from experiment_runner.store.run_data import csv_row
@@ -49,7 +49,20 @@ def as_text(board: Standings, width: int | None = None) -> str:
     """
     late = ["late"] if _timed(board) else []
     header = ("place", "entrant", "mean rank", "total", "95 % interval", "by total", *board.tasks, *late)
-    rows = [_row(standing, board) for standing in board.entrants if standing.place is not None]
+    rows = [
+        (
+            str(one.place),
+            one.name,
+            f"{one.mean_rank:g}",
+            number(one.total),
+            f"{number(one.low)} .. {number(one.high)}",
+            str(one.place_by_total),
+            *(number(one.tasks[task].score) for task in board.tasks),
+            *(f"{one.late:.1%}" for _ in late),
+        )
+        for one in board.entrants
+        if one.place is not None
+    ]
     notes = [f"no place: {other.name}: {other.missing}" for other in board.entrants if other.missing]
     notes += [
         f"forfeited: {standing.name}, {forfeit.task}, trial {forfeit.trial}: {forfeit.reason}"
@@ -119,19 +132,6 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 def as_json(board: object) -> str:
     """Return a board, or boards by name, as a JSON object; a missing number is null."""
     return json.dumps(json.loads(msgspec.json.encode(board)), indent=2) + "\n"
-
-
-def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
-    return (
-        str(standing.place),
-        standing.name,
-        f"{standing.mean_rank:g}",
-        number(standing.total),
-        f"{number(standing.low)} .. {number(standing.high)}",
-        str(standing.place_by_total),
-        *(number(standing.tasks[task].score) for task in board.tasks),
-        *([f"{standing.late:.1%}"] if _timed(board) else []),
-    )
 
 
 def _timed(board: Standings) -> bool:

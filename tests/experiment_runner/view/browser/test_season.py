@@ -13,8 +13,8 @@ from urllib.parse import quote
 
 import pytest
 
-from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.season.control import Attempt
+from experiment_runner.competition.trials import pseudonym
 from tests.experiment_runner.competition.season.inside import SECRET, Raising, Season
 from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed, needs_axe
 from tests.experiment_runner.view.pages import Page, shown_by
