@@ -70,14 +70,7 @@ _WHY: Final = click.option(
 )
 @click.option("--address", metavar="HOST:PORT", help="Ray cluster; by default the one that Ray finds.")
 def serve(
-    file: Path,
-    out: Path,
-    bind: str,
-    keys: Path | None,
-    page: str | None,
-    engine: str,
-    address: str | None,
-    **of_page: Any,
+    file: Path, out: Path, bind: str, keys: Path | None, engine: str, address: str | None, **of_page: Any
 ) -> None:
     """Hold the season of FILE, for weeks: let entrants play attempts, and verify each at its end.
 
@@ -93,7 +86,7 @@ def serve(
     from experiment_runner.view.launch import check_view, season_viewed
 
     check_address(Backend(engine), address)
-    if page is not None:
+    if of_page["page"] is not None:
         check_view("page")
     competition = load_competition(file)
     if competition.season is None:
@@ -108,8 +101,8 @@ def serve(
             text = read_text(file, follow=True)
             store = stack.enter_context(open_competition(out, text, competition, secret))
         executor = executor_of(competition, Backend(engine), address)
-        if page is not None:
-            stack.enter_context(season_viewed(out, {"page": page, **of_page}, say))
+        if of_page["page"] is not None:
+            stack.enter_context(season_viewed(out, of_page, say))
         say(f"the season is served from {out}")
         stack.enter_context(Server(store, competition, secret, code, gate, say)).serve(executor)
         if competition.season.images:

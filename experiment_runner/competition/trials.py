@@ -42,11 +42,12 @@ _SEED_BITS: Final = 63
 _MAX_SECRET: Final = 65_536
 _HINT: Final = "make one with: head -c 32 /dev/urandom | base64 >"
 
+Warn = Callable[[str], None]
+"""Shows a line."""
+
 
 def read_secret(
-    competition: Competition,
-    variables: MutableMapping[str, str],
-    warn: Callable[[str], None] = lambda line: None,
+    competition: Competition, variables: MutableMapping[str, str], warn: Warn = lambda line: None
 ) -> bytes:
     """Return the secret seed of a competition, without the white space around it.
 
@@ -65,7 +66,7 @@ def read_secret(
 
 
 def read_code(
-    season: Season, variables: MutableMapping[str, str], warn: Callable[[str], None] = lambda line: None
+    season: Season, variables: MutableMapping[str, str], warn: Warn = lambda line: None
 ) -> str | None:
     """Return the code with which entrants enrol, as by `read_secret`; None if they need none.
 
@@ -80,12 +81,7 @@ def read_code(
 
 
 def _read(
-    what: str,
-    path: Path | None,
-    name: str | None,
-    hint: str,
-    variables: MutableMapping[str, str],
-    warn: Callable[[str], None],
+    what: str, path: Path | None, name: str | None, hint: str, variables: MutableMapping[str, str], warn: Warn
 ) -> bytes:
     if path is None:
         secret, where = variables.pop(name or "", "").encode(), f"the environment variable {name}"

@@ -71,7 +71,8 @@ def as_text(board: Standings, width: int | None = None) -> str:
     ]
     notes += [line_of(one) for one in board.acts]
     notes += [f"{one.name} is {one.player}, {one.id}" for one in board.entrants if one.id]
-    text = laid_out(board.competition, header, rows, notes, [*LEGEND, *([LATE] if late else [])], width)
+    table = format_table(header, rows, width=width) if rows else ""
+    text = laid_out(board.competition, table, notes, [*LEGEND, *([LATE] if late else [])])
     parts = [text, one_line(board.program)]
     if board.seeds:
         seeds = [
@@ -81,23 +82,8 @@ def as_text(board: Standings, width: int | None = None) -> str:
     return "\n\n".join(parts)
 
 
-def laid_out(
-    title: str,
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    notes: Iterable[str],
-    legend: Sequence[str],
-    width: int | None,
-) -> str:
-    """Return a board for the terminal: its title, its table, if anybody has a place, notes, and the legend.
-
-    Args:
-        title: of the board.
-        header, rows: of the table.
-        notes, legend: lines.
-        width: of the terminal in characters, None for no limit.
-    """
-    table = format_table(header, rows, width=width) if rows else ""
+def laid_out(title: str, table: str, notes: Iterable[str], legend: Iterable[str]) -> str:
+    """Return a board for the terminal; without a place for anybody, its table is empty."""
     parts = (one_line(title), table, "\n".join(map(one_line, notes)), "\n".join(legend))
     return "\n\n".join(filter(None, parts))
 

@@ -12,6 +12,7 @@ from experiment_runner.competition.course import Course
 from experiment_runner.competition.records.journal import utc_now
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
+from experiment_runner.report.tables import format_table
 from experiment_runner.store.results import Results
 from experiment_runner.store.run_data import finite
 from glue.console import one_line
@@ -55,7 +56,8 @@ def as_text(board: SeasonBoard, width: int | None = None) -> str:
     ]
     notes += [f"{time}: {text}" for time, text in board.announcements]
     notes += [line_of(one) for one in board.acts]
-    return laid_out(title, header, rows, notes, [*_LEGEND, *([LATE] if late else [])], width)
+    table = format_table(header, rows, width=width) if rows else ""
+    return laid_out(title, table, notes, [*_LEGEND, *([LATE] if late else [])])
 
 
 def boards_as_json(results: Results, course: Course) -> str:
