@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from experiment_runner.cli.compete_entrants import COMMANDS
-from experiment_runner.cli.compete_serve import ACTS, KEPT, serve
+from experiment_runner.cli.compete_serve import ACTS, KEPT, RUN, serve
 from experiment_runner.cli.options import naming_out
 from experiment_runner.cli.season_page import page
 from experiment_runner.view.launch import check_view, viewed
@@ -23,7 +23,6 @@ from glue.hub.config import DEFAULT_HUB
 from glue.keys.certificates import encode, read_pair, read_public
 
 _FILE = click.argument("file", type=FILE, metavar="FILE")
-_DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
 
 @click.group("glue-compete", no_args_is_help=True)
@@ -132,7 +131,7 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
 
 
 @compete.command()
-@_DIRECTORY
+@RUN
 @click.option(
     "--sign",
     type=FILE,
@@ -186,7 +185,7 @@ def verify(directory: Path, sign: Path | None, environments: tuple[str, ...]) ->
 
 
 @compete.command()
-@_DIRECTORY
+@RUN
 @click.option(
     "--format",
     "form",
@@ -242,7 +241,7 @@ def board(directory: Path, form: str, season: bool, reveal: bool, signed_by: str
 
 
 @compete.command()
-@_DIRECTORY
+@RUN
 @click.argument("out", type=DIRECTORY, metavar="OUT")
 def bundle(directory: Path, out: Path) -> None:
     """Write into OUT everything of the run in DIR with which others can verify it, when its season is closed.
@@ -260,7 +259,7 @@ def bundle(directory: Path, out: Path) -> None:
 
 
 @compete.command()
-@_DIRECTORY
+@RUN
 @click.option(
     "--grades",
     type=click.Choice(["canvas", "moodle", "csv"]),

@@ -22,7 +22,7 @@ from glue.hub.config import DEFAULT_HUB
 
 KEPT: Final = "nothing is lost: start the same command again"
 
-_DIRECTORY = click.argument("directory", type=DIRECTORY, metavar="DIR")
+RUN = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
 
 def _reason(context: click.Context, option: click.Parameter, text: str) -> str:
@@ -70,14 +70,7 @@ _WHY: Final = click.option(
 )
 @click.option("--address", metavar="HOST:PORT", help="Ray cluster; by default the one that Ray finds.")
 def serve(
-    file: Path,
-    out: Path,
-    bind: str,
-    keys: Path | None,
-    page: str | None,
-    engine: str,
-    address: str | None,
-    **of_page: Any,
+    file: Path, out: Path, bind: str, keys: Path | None, engine: str, address: str | None, **of_page: Any
 ) -> None:
     """Hold the season of FILE, for weeks: let entrants play attempts, and verify each at its end.
 
@@ -93,7 +86,7 @@ def serve(
     from experiment_runner.view.launch import check_view, season_viewed
 
     check_address(Backend(engine), address)
-    if page is not None:
+    if of_page["page"] is not None:
         check_view("page")
     competition = load_competition(file)
     if competition.season is None:
@@ -108,8 +101,8 @@ def serve(
             text = read_text(file, follow=True)
             store = stack.enter_context(open_competition(out, text, competition, secret))
         executor = executor_of(competition, Backend(engine), address)
-        if page is not None:
-            stack.enter_context(season_viewed(out, {"page": page, **of_page}, say))
+        if of_page["page"] is not None:
+            stack.enter_context(season_viewed(out, of_page, say))
         say(f"the season is served from {out}")
         stack.enter_context(Server(store, competition, secret, code, gate, say)).serve(executor)
         if competition.season.images:
@@ -119,7 +112,7 @@ def serve(
 
 
 @click.command()
-@_DIRECTORY
+@RUN
 @click.argument("file", type=FILE, metavar="FILE")
 @_WHY
 def add(directory: Path, file: Path, why: str) -> None:
@@ -134,7 +127,7 @@ def add(directory: Path, file: Path, why: str) -> None:
 
 
 @click.command()
-@_DIRECTORY
+@RUN
 @click.argument("entrants", nargs=-1, required=True, metavar="ENTRANT...")
 @_WHY
 def exclude(directory: Path, entrants: tuple[str, ...], why: str) -> None:
@@ -144,7 +137,7 @@ def exclude(directory: Path, entrants: tuple[str, ...], why: str) -> None:
 
 
 @click.command()
-@_DIRECTORY
+@RUN
 @click.argument("which", nargs=-1, required=True, metavar="TRIAL... | ENTRANT [ATTEMPT]")
 @_WHY
 def rerun(directory: Path, which: tuple[str, ...], why: str) -> None:
@@ -164,7 +157,7 @@ def rerun(directory: Path, which: tuple[str, ...], why: str) -> None:
 
 
 @click.command()
-@_DIRECTORY
+@RUN
 @click.argument("text", callback=_reason, metavar="TEXT")
 def announce(directory: Path, text: str) -> None:
     """Show a line of text on the board of the run in DIR."""
@@ -177,7 +170,7 @@ def _act(kind: str, summary: str, *arguments: Callable[[click.Command], click.Co
     def carry_out(directory: Path, why: str, **wish: Any) -> None:
         organise(directory, kind, why=why, **wish)
 
-    command = click.command(kind, help=summary)(_DIRECTORY(_WHY(carry_out)))
+    command = click.command(kind, help=summary)(RUN(_WHY(carry_out)))
     for argument in arguments:
         argument(command)
     return command

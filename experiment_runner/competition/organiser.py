@@ -22,7 +22,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.match import Forfeited, Match, Piece
 from experiment_runner.competition.records.copies import copies
@@ -37,7 +36,7 @@ from experiment_runner.competition.records.seal import (
 )
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
 from experiment_runner.competition.starters import gate_for, name_of_run, starter_for
-from experiment_runner.competition.trials import levels
+from experiment_runner.competition.trials import levels, pseudonym
 from experiment_runner.competition.worker import executor
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts

@@ -276,6 +276,15 @@ class InFolder(Outside):
         return super().start(entrant, limits, launch)
 
 
+def no_gate(why: str) -> ConfigError:
+    """Return the error that there is no address for entrants with keys, and why there has to be one."""
+    return ConfigError(
+        f"{why}: give the directory of the hub's own pair (made by glue-keys new {HUB}), and an address to "
+        "listen on",
+        settings=("keys", "bind"),
+    )
+
+
 def gate_for(entrant: Entrant, gate: Gate | None) -> Bind:
     """Return the address at which only the owner of an entrant's key can join, as its agent.
 
@@ -283,11 +292,7 @@ def gate_for(entrant: Entrant, gate: Gate | None) -> Bind:
         ConfigError: there is no gate, or a key cannot be read.
     """
     if gate is None or entrant.key is None:
-        raise ConfigError(
-            f"entrant {entrant.name} joins with a key: give the directory of the hub's own pair (made "
-            f"by glue-keys new {HUB}), and an address to listen on",
-            settings=("keys", "bind"),
-        )
+        raise no_gate(f"entrant {entrant.name} joins with a key")
     agent, session = frozenset({Role.AGENT}), frozenset({entrant.name})
     pair = read_pair(gate.keys / f"{HUB}{SECRET}", "keys")
     permit = Permit(entrant.name, agent, session)

@@ -288,17 +288,16 @@ class State:
                 f"the journal queues attempt {one.number} of {one.subject}, who has {len(entrant.attempts)}"
             )
         made = Attempt(one.subject, one.number, one.when, order=self.count)
-        if one.act == journal.RERUN:
+        if one.act == journal.RERUN:  # which costs nothing
             made = replace(made, instead=self.attempt(one.subject, one.instead).number)
+        elif one.instead:  # of one that failed here: it costs what that one did
+            failed = self.attempt(one.subject, one.instead)
+            made = replace(made, day=failed.day, granted=failed.granted)
         else:
-            if one.instead:  # of one that failed here: it costs what that one did
-                failed = self.attempt(one.subject, one.instead)
-                day, granted = failed.day, failed.granted
-            else:
-                day = made.requested.astimezone(self.season.days).date()
-                granted = entrant.used[day] >= self.season.attempts_per_day
+            day = made.requested.astimezone(self.season.days).date()
+            granted = entrant.used[day] >= self.season.attempts_per_day
             made = replace(made, day=None if granted else day, granted=granted)
-            self._charge(entrant, made, 1)
+        self._charge(entrant, made, 1)
         entrant.attempts[one.number] = entrant.current[one.number] = made
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""The secret seed of a competition, and the seeds and levels drawn from it.
+"""The secret seed of a competition, and the seeds, levels and pseudonyms drawn from it.
 
 Everything that depends on the secret is derived by HMAC-SHA-256, from which the secret cannot be computed:
 the level of one trial says nothing about the level of another.
@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import itertools
 import os
 import stat
-from collections.abc import Callable, Iterable, MutableMapping
+from collections.abc import Callable, Collection, Iterable, MutableMapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -33,15 +34,20 @@ _LEVEL: Final = "level"
 _LEVEL_DIGEST: Final = "level_digest"
 """Options of an environment that reads a level from a file."""
 
+_COLOURS: Final = ("amber", "azure", "coral", "crimson", "emerald", "golden", "indigo", "ivory", "jade")
+_ANIMALS: Final = ("badger", "crane", "falcon", "fox", "heron", "ibis", "lynx", "otter", "owl", "raven")
+_NUMBERS: Final = 1_000_000
+
 _SEED_BITS: Final = 63
 _MAX_SECRET: Final = 65_536
 _HINT: Final = "make one with: head -c 32 /dev/urandom | base64 >"
 
+Warn = Callable[[str], None]
+"""Shows a line."""
+
 
 def read_secret(
-    competition: Competition,
-    variables: MutableMapping[str, str],
-    warn: Callable[[str], None] = lambda line: None,
+    competition: Competition, variables: MutableMapping[str, str], warn: Warn = lambda line: None
 ) -> bytes:
     """Return the secret seed of a competition, without the white space around it.
 
@@ -60,7 +66,7 @@ def read_secret(
 
 
 def read_code(
-    season: Season, variables: MutableMapping[str, str], warn: Callable[[str], None] = lambda line: None
+    season: Season, variables: MutableMapping[str, str], warn: Warn = lambda line: None
 ) -> str | None:
     """Return the code with which entrants enrol, as by `read_secret`; None if they need none.
 
@@ -75,12 +81,7 @@ def read_code(
 
 
 def _read(
-    what: str,
-    path: Path | None,
-    name: str | None,
-    hint: str,
-    variables: MutableMapping[str, str],
-    warn: Callable[[str], None],
+    what: str, path: Path | None, name: str | None, hint: str, variables: MutableMapping[str, str], warn: Warn
 ) -> bytes:
     if path is None:
         secret, where = variables.pop(name or "", "").encode(), f"the environment variable {name}"
@@ -106,6 +107,20 @@ def draw(secret: bytes, *names: str) -> int:
     """Return the number that belongs to these names, 0 <= number < 2**63."""
     message = b"".join(len(name).to_bytes(4, "little") + name.encode() for name in names)
     return int.from_bytes(hmac.digest(secret, message, hashlib.sha256)[:8], "little") >> (64 - _SEED_BITS)
+
+
+def pseudonym(name: str, secret: bytes, taken: Collection[str]) -> str:
+    """Return a pseudonym that nobody has, and that tells the name only to those who know the secret."""
+    rest, colour = divmod(int.from_bytes(derived(secret, "alias", name)), len(_COLOURS))
+    rest, animal = divmod(rest, len(_ANIMALS))
+    alias = f"{_COLOURS[colour]} {_ANIMALS[animal]}"
+    numbered = (f"{alias} {(rest + number) % _NUMBERS}" for number in itertools.count())
+    return next(one for one in itertools.chain([alias], numbered) if one not in taken)
+
+
+def derived(secret: bytes, *names: str) -> bytes:
+    """Return 32 bytes that belong to these names, and that only those who know the secret can compute."""
+    return hmac.digest(secret, "\0".join(names).encode(), "sha256")
 
 
 class Level(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Final
 
 import msgspec
 
-from experiment_runner.competition.board.standings import Standing, Standings
+from experiment_runner.competition.board.standings import Standings
 from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
 from experiment_runner.report.tables import format_table
 from experiment_runner.store.run_data import csv_row
@@ -49,7 +49,20 @@ def as_text(board: Standings, width: int | None = None) -> str:
     """
     late = ["late"] if _timed(board) else []
     header = ("place", "entrant", "mean rank", "total", "95 % interval", "by total", *board.tasks, *late)
-    rows = [_row(standing, board) for standing in board.entrants if standing.place is not None]
+    rows = [
+        (
+            str(one.place),
+            one.name,
+            f"{one.mean_rank:g}",
+            number(one.total),
+            f"{number(one.low)} .. {number(one.high)}",
+            str(one.place_by_total),
+            *(number(one.tasks[task].score) for task in board.tasks),
+            *(f"{one.late:.1%}" for _ in late),
+        )
+        for one in board.entrants
+        if one.place is not None
+    ]
     notes = [f"no place: {other.name}: {other.missing}" for other in board.entrants if other.missing]
     notes += [
         f"forfeited: {standing.name}, {forfeit.task}, trial {forfeit.trial}: {forfeit.reason}"
@@ -58,7 +71,8 @@ def as_text(board: Standings, width: int | None = None) -> str:
     ]
     notes += [line_of(one) for one in board.acts]
     notes += [f"{one.name} is {one.player}, {one.id}" for one in board.entrants if one.id]
-    text = laid_out(board.competition, header, rows, notes, [*LEGEND, *([LATE] if late else [])], width)
+    table = format_table(header, rows, width=width) if rows else ""
+    text = laid_out(board.competition, table, notes, [*LEGEND, *([LATE] if late else [])])
     parts = [text, one_line(board.program)]
     if board.seeds:
         seeds = [
@@ -68,23 +82,8 @@ def as_text(board: Standings, width: int | None = None) -> str:
     return "\n\n".join(parts)
 
 
-def laid_out(
-    title: str,
-    header: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    notes: Iterable[str],
-    legend: Sequence[str],
-    width: int | None,
-) -> str:
-    """Return a board for the terminal: its title, its table, if anybody has a place, notes, and the legend.
-
-    Args:
-        title: of the board.
-        header, rows: of the table.
-        notes, legend: lines.
-        width: of the terminal in characters, None for no limit.
-    """
-    table = format_table(header, rows, width=width) if rows else ""
+def laid_out(title: str, table: str, notes: Iterable[str], legend: Iterable[str]) -> str:
+    """Return a board for the terminal; without a place for anybody, its table is empty."""
     parts = (one_line(title), table, "\n".join(map(one_line, notes)), "\n".join(legend))
     return "\n\n".join(filter(None, parts))
 
@@ -117,29 +116,10 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def as_json(board: object) -> str:
-    """Return a board as a JSON object; a missing number is null."""
-    return json.dumps(plain(board), indent=2) + "\n"
-
-
-def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
-    return (
-        str(standing.place),
-        standing.name,
-        f"{standing.mean_rank:g}",
-        number(standing.total),
-        f"{number(standing.low)} .. {number(standing.high)}",
-        str(standing.place_by_total),
-        *(number(standing.tasks[task].score) for task in board.tasks),
-        *([f"{standing.late:.1%}"] if _timed(board) else []),
-    )
+    """Return a board, or boards by name, as a JSON object; a missing number is null."""
+    return json.dumps(json.loads(msgspec.json.encode(board)), indent=2) + "\n"
 
 
 def _timed(board: Standings) -> bool:
     """Return whether an entrant with a place has played a task with a rate."""
     return any(not math.isnan(one.late) for one in board.entrants if one.place is not None)
-
-
-def plain(board: object) -> object:
-    """Return a board as JSON has it; a missing number is None."""
-    found: object = msgspec.json.decode(msgspec.json.encode(board))
-    return found

@@ -150,14 +150,12 @@ def standings(results: Results, course: Course, reveal: bool = False) -> Standin
     tasks = tuple(task.name for task in course.competition.testing)
     excluded = course.excluded
     judged: dict[str, list[_Judged]] = {name: [] for name in course.entrants}
-    for judgement in _judged(results, course):
-        judged[judgement.trial.parts[0]].append(judgement)
     lowest: dict[tuple[str, int], float] = {}
-    for name in judged.keys() - excluded.keys():
-        for one in judged[name]:
-            if one.forfeit is None and not one.missing:
-                trial = one.trial.parts[1:]
-                lowest[trial] = min(one.score, lowest.get(trial, math.inf))
+    for one in _judged(results, course):
+        name, level = one.trial.parts[0], one.trial.parts[1:]
+        judged[name].append(one)
+        if name not in excluded and one.forfeit is None and not one.missing:
+            lowest[level] = min(one.score, lowest.get(level, math.inf))
     found = [
         _standing(admitted, judged[name], excluded.get(name), tasks, lowest)
         for name, admitted in course.entrants.items()

@@ -110,24 +110,20 @@ class _StepByStep:
         return rewards, False
 
 
-def passive_action(task_spec: str) -> Action:
-    """Return the only action of a passive agent: in every dimension zero, or the nearest legal number.
-
-    Raises:
-        TaskSpecError: the task spec does not parse.
-    """
-    return Action(*parse_task_spec(task_spec).actions.still())
-
-
 def passive_score(spec: TrialSpec, steps: int) -> float:
     """Return the sum of rewards that a passive agent earns in a trial.
+
+    Its only action is zero in every dimension, or the nearest legal number.
 
     Args:
         spec: the trial.
         steps: number of steps; 0 if the number of episodes counts.
+
+    Raises:
+        TaskSpecError: the task spec does not parse.
     """
     replay, task_spec = replay_of(spec)
-    action = [passive_action(task_spec)]
+    action = [Action(*parse_task_spec(task_spec).actions.still())]
     total, left, episodes = 0.0, steps, 0
     while left > 0 if steps else episodes < spec.episodes:
         replay.start()

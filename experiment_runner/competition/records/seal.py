@@ -150,22 +150,16 @@ def reseal_verdicts(store: Store) -> None:
         _write(store.directory, _Seal(_digests(store)))
 
 
-def _newest(store: Store) -> _Seal:
-    """Return the seal of a run; one for an earlier seal, unless that is broken.
+def _renew(store: Store, part: str, change: Callable[[str], str]) -> None:
+    """Change the digest of a part, and keep what it was before.
 
     Raises:
-        ExperimentError: it cannot be read, or is an earlier one and broken.
+        ExperimentError: the seal cannot be read, or is an earlier one and broken.
     """
     found = _read(store.directory)
-    if isinstance(found, _Seal):
-        return found
-    check_seal(store)
-    return _Seal(_digests(store), None, found.key, found.signature)
-
-
-def _renew(store: Store, part: str, change: Callable[[str], str]) -> None:
-    """Change the digest of a part, and keep what it was before."""
-    found = _newest(store)
+    if isinstance(found, _EarlierSeal):
+        check_seal(store)
+        found = _Seal(_digests(store), None, found.key, found.signature)
     found.before = found.now
     found.now = replace(found.now, **{part: change(getattr(found.now, part))})
     _write(store.directory, found)

@@ -14,7 +14,7 @@ from experiment_runner.competition.course import Course
 from experiment_runner.competition.organiser import Held, admissions
 from experiment_runner.competition.records import journal
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act, utc_now
-from experiment_runner.competition.season.control import Admitted, Door, Organise, Reply, Request
+from experiment_runner.competition.season.control import Door, Organise, Reply, Request
 from experiment_runner.competition.settings import load_competition
 from experiment_runner.plan.limits import TrialId
 from glue.errors import ExperimentError
@@ -40,7 +40,7 @@ def acts_for(wanted: Organise, course: Course, over: Collection[str], now: datet
     match wanted.act:
         case journal.ADD:
             aliases = {one.alias for one in course.acts if one.alias}
-            new = [(each.entrant, each.alias) for each in wanted.admitted]
+            new = wanted.admitted
             if any(each.name in course.entrants or alias in aliases for each, alias in new):
                 raise ExperimentError("who takes part has changed meanwhile: try again")
             return [one(each.name, player=each.player, id=each.id, alias=alias) for each, alias in new]
@@ -128,7 +128,7 @@ def answering(door: Door) -> Callable[[Held, float], None]:
             if not isinstance(request, Organise):
                 raise ExperimentError("the season is over, and its final is played")
             acts = acts_for(request, held.course, held.over, utc_now())
-            held.record(acts, [new.entrant for new in request.admitted])
+            held.record(acts, [entrant for entrant, _ in request.admitted])
             return {"acts": [line_of(one) for one in acts]}
 
         door.serve(answer, seconds)
@@ -157,4 +157,4 @@ def addition(course: Course, file: Path, secret: bytes) -> Mapping[str, Any]:
     taken = (one.alias for one in course.acts)
     acts = admissions(course.competition, new, journal.ADD, "", secret, taken)
     pairs = zip(new, acts, strict=True)
-    return {"admitted": tuple(Admitted(replace(entrant, id=one.id), one.alias) for entrant, one in pairs)}
+    return {"admitted": tuple((replace(entrant, id=one.id), one.alias) for entrant, one in pairs)}

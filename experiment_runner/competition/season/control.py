@@ -58,13 +58,6 @@ class _Request(msgspec.Struct, tag_field="do", tag=str.lower, forbid_unknown_fie
     pass
 
 
-class Admitted(msgspec.Struct, forbid_unknown_fields=True):
-    """An entrant that can be started, with its id, and its pseudonym, if entrants have them."""
-
-    entrant: Entrant
-    alias: str = ""
-
-
 class Organise(_Request, tag="act"):
     """An act of the organiser; see `experiment_runner.competition.season.acts`.
 
@@ -73,14 +66,15 @@ class Organise(_Request, tag="act"):
         subject: the entrant's name, the id of a trial, `*` for all entrants, or empty.
         why: the reason; the text of an announcement.
         number: the number of an attempt, or of attempts granted; 0 for none.
-        admitted: of `add`, the new entrants.
+        admitted: of `add`, each new entrant, which can be started, with its id, and its pseudonym, which is
+            empty if entrants have none.
     """
 
     act: str
     subject: str = ""
     why: str = ""
     number: int = 0
-    admitted: tuple[Admitted, ...] = ()
+    admitted: tuple[tuple[Entrant, str], ...] = ()
 
 
 class Enrol(_Request):
@@ -167,11 +161,8 @@ class Door(Closing):
         self._listener = socket.socket(socket.AF_UNIX)
         with reported(f"cannot make {self._path}"), _short(directory) as short:
             self._path.unlink(missing_ok=True)  # of a server that was killed
-            before = os.umask(0o177)
-            try:
-                self._listener.bind(short)
-            finally:
-                os.umask(before)
+            os.fchmod(self._listener.fileno(), 0o600)  # Linux gives this mode to the file
+            self._listener.bind(short)
             self._listener.listen()
         self._listener.setblocking(False)
         self._ready.register(self._listener, selectors.EVENT_READ)
@@ -264,7 +255,7 @@ def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> R
         with _short(directory) as short, socket.socket(socket.AF_UNIX) as client:
             client.settimeout(seconds)
             client.connect(short)
-            client.sendall(json.dumps(request, default=_plain).encode() + b"\n")
+            client.sendall(msgspec.json.encode(request, enc_hook=str) + b"\n")  # paths are texts
             line = client.makefile("rb").readline(_MOST_BYTES_OF_REPLY)
             if not line.endswith(b"\n"):
                 raise ConnectionError("its reply is not whole")
@@ -272,10 +263,6 @@ def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> R
         raise NoServer(f"no server answers in {directory}: {error.strerror or error}") from None
     reply: Reply = json.loads(line)
     return reply
-
-
-def _plain(value: object) -> object:
-    return msgspec.to_builtins(value, enc_hook=str)  # of a path
 
 
 @contextmanager

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from experiment_runner.competition.board.forms import LATE, csv_text, laid_out, line_of, number, plain
+from experiment_runner.competition.board.forms import LATE, as_json, csv_text, laid_out, line_of, number
 from experiment_runner.competition.board.standings import Standings, standings
 from experiment_runner.competition.course import Course
 from experiment_runner.competition.records.journal import utc_now
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.competition.season.board import ORGANISER, SeasonBoard, season_board
+from experiment_runner.report.tables import format_table
 from experiment_runner.store.results import Results
 from experiment_runner.store.run_data import finite
 from glue.console import one_line
@@ -56,7 +56,8 @@ def as_text(board: SeasonBoard, width: int | None = None) -> str:
     ]
     notes += [f"{time}: {text}" for time, text in board.announcements]
     notes += [line_of(one) for one in board.acts]
-    return laid_out(title, header, rows, notes, [*_LEGEND, *([LATE] if late else [])], width)
+    table = format_table(header, rows, width=width) if rows else ""
+    return laid_out(title, table, notes, [*_LEGEND, *([LATE] if late else [])])
 
 
 def boards_as_json(results: Results, course: Course) -> str:
@@ -71,7 +72,7 @@ def boards_as_json(results: Results, course: Course) -> str:
         found["season"] = season_board(results, course, course.acts[-1].when, ORGANISER)
     if course.competition.testing:
         found["standings"] = standings(results, course)
-    return json.dumps({name: plain(board) for name, board in found.items()}, indent=2) + "\n"
+    return as_json(found)
 
 
 Grades = Sequence[tuple[str, float]]

@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, Final
 
-from experiment_runner.competition.aliases import derived, pseudonym
 from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.course import course_of, entrant_of
 from experiment_runner.competition.match import NOT_CONNECTED, Match
@@ -38,9 +37,9 @@ from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
 from experiment_runner.competition.settings import Competition, Entrant, Gate
-from experiment_runner.competition.starters import name_of_run, starter_for
+from experiment_runner.competition.starters import name_of_run, no_gate, starter_for
 from experiment_runner.competition.state import IMAGE_ID, Attempt, Enrolled
-from experiment_runner.competition.trials import attempt_trials, levels
+from experiment_runner.competition.trials import attempt_trials, derived, levels, pseudonym
 from experiment_runner.competition.worker import Replay
 from experiment_runner.executors.dispatcher import Dispatcher, Executor
 from experiment_runner.executors.interrupts import Interrupts
@@ -147,11 +146,7 @@ def check_gate(competition: Competition, gate: Gate | None) -> None:
         gate_of(gate, season.parallel - 1)
         read_pair(gate.keys / f"{HUB}{SECRET}", "keys")
     elif season.enrol != "closed" or any(entrant.key is not None for entrant in competition.entrants):
-        raise ConfigError(
-            "entrants with keys connect to this machine: give the directory of the hub's own pair (made by "
-            f"glue-keys new {HUB}), and an address to listen on",
-            settings=("keys", "bind"),
-        )
+        raise no_gate("entrants with keys connect to this machine")
 
 
 class Server(Matches):
@@ -281,7 +276,7 @@ class Server(Matches):
 
     def _organise(self, wanted: control.Organise) -> Reply:
         acts = acts_for(wanted, self._course, (), self._now())
-        self._named |= {new.entrant.name: new.entrant for new in wanted.admitted}
+        self._named |= {entrant.name: entrant for entrant, _ in wanted.admitted}
         self._record(*acts)
         return {"acts": [line_of(one) for one in acts]}
 

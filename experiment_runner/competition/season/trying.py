@@ -33,8 +33,8 @@ def tasks_of(competition: Competition) -> Mapping[str, Any]:
         others = {one: getattr(task, one) for one in _OTHERS if getattr(task, one)}
         # A path of the organiser's machine says nothing elsewhere.
         tasks.append({"name": task.name, "env": Path(task.env).name, "options": options, **others})
-    values = (competition.name, competition.trials, asdict(competition.limits), tasks)
-    return dict(zip(_TOLD, values, strict=True))
+    limits = asdict(competition.limits)
+    return {"name": competition.name, "trials": competition.trials, "limits": limits, "tasks": tasks}
 
 
 def competition_of(told: Mapping[str, Any]) -> Competition:

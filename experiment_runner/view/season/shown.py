@@ -120,11 +120,12 @@ def _drawn(lines: Sequence[svg.Line], unit: str, size: tuple[int, int]) -> str:
 def rules_of(competition: Competition, season: Season) -> list[str]:
     """Return the rules and limits of a season, as sentences."""
     limits, day = competition.limits, f"a day ({season.zone})"
+    times = "once" if competition.trials == 1 else f"{competition.trials} times"
     which = {"best": "best attempt", "last": "last attempt", "mean": "mean of all attempts"}[season.count]
     rules = [
         f"Attempts: {season.attempts_per_day} {day}; one at a time for each entrant, {season.parallel} at "
         f"once in all, in turn. At most {season.most_waiting} of an entrant wait.",
-        f"Each attempt plays each task {_times(competition.trials)}. An entrant's {which} counts.",
+        f"Each attempt plays each task {times}. An entrant's {which} counts.",
         f"Time: {limits.step_seconds:g} s for an answer; what takes longer is drawn from a bank of "
         f"{limits.bank_seconds:g} s for a trial. {limits.start_seconds:g} s to connect, "
         f"{limits.total_seconds:g} s for all answers of a trial.",
@@ -138,10 +139,6 @@ def rules_of(competition: Competition, season: Season) -> list[str]:
     if any(task.hidden for task in competition.proving):
         rules.append("Scores of tasks with hidden levels are told when the season is closed.")
     return rules
-
-
-def _times(number: int) -> str:
-    return "once" if number == 1 else f"{number} times"
 
 
 def _left(state: State, name: str, now: datetime) -> str:

@@ -131,8 +131,8 @@ def test_no_code_is_loaded_because_a_run_names_it(folder: Path) -> None:
     """An environment in a file of the organiser's is played from the verifier's own copy of it."""
     code = "from env_server.toys import SkeletonEnvironment\nclass World(SkeletonEnvironment): pass\n"
     (folder / "world.py").write_text(code)
-    text = FILE.replace('"mario"', '"world.py:World"').replace('levels = ["one.txt", "two.txt"]\n', "")
-    text = text.replace("{ instance = 9 }", "{}")
+    played = 'env = "mario", options.instance = 9, levels = ["one.txt", "two.txt"]'
+    text = FILE.replace(played, 'env = "world.py:World"')
     with open_competition(
         folder / "run", text, parse_competition(text, folder / "spring.toml"), SECRET
     ) as store:

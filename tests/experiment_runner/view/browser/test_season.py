@@ -9,8 +9,8 @@ from urllib.parse import quote
 import pytest
 from starlette.staticfiles import StaticFiles
 
-from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.season.control import Attempt
+from experiment_runner.competition.trials import pseudonym
 from tests.experiment_runner.competition.season.inside import SECRET, Season
 from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed
 from tests.experiment_runner.view.pages import Page, in_thread, shown_by

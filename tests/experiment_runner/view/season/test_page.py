@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.season.entrance import routes
+from experiment_runner.competition.trials import pseudonym
 from experiment_runner.view.guard import HEADERS, Address
 from experiment_runner.view.season.page import season_page
 from experiment_runner.view.season.views import Views, organisers_token

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.competition.aliases import pseudonym
 from experiment_runner.competition.records.journal import CHANGE, act
 from experiment_runner.competition.records.seal import record_acts
+from experiment_runner.competition.trials import pseudonym
 from experiment_runner.view.launch import season_viewed
 from experiment_runner.view.season.publish import Publisher
 from experiment_runner.view.season.views import Views
