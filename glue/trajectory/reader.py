@@ -242,7 +242,7 @@ def _actions_only(
             bits = np.frombuffer(unpacked.take((count + 7) // 8), np.uint8)
             places = np.flatnonzero(np.unpackbits(bits, count=count, bitorder="little"))
             late.frombytes((places + before + 1).astype(np.uintc).tobytes())
-        _check_size(unpacked, begin, 0)
+        _check_size(unpacked, begin, len(steps.blocks))  # a block takes far more memory than bytes
     if kind not in records.ENDINGS or (kind == records.TERMINAL_END and not steps):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
     steps.end(kind == records.TERMINAL_END)
@@ -277,7 +277,7 @@ def _answer(unpacked: Unpacked, step: int) -> records.Answer:
 def _check_size(unpacked: Unpacked, begin: int, count: int) -> None:
     if count > limits.MAX_STEPS or unpacked.offset - begin > limits.MAX_EPISODE:
         raise unpacked.malformed(
-            f"an episode of more than {limits.MAX_STEPS} steps, messages or answers, or of more than "
+            f"an episode of more than {limits.MAX_STEPS} steps, blocks, messages or answers, or of more than "
             f"{limits.MAX_EPISODE} bytes"
         )
 

@@ -186,7 +186,7 @@ def test_answers_of_an_episode_are_limited_for_writer_and_reader(
         recording.step(Action(), 1.0, observation(1), True)
     assert len(read(tmp_path / "a")[0].answers) == 4
     monkeypatch.setattr(limits, "MAX_STEPS", 3)
-    with pytest.raises(TrajectoryError, match="more than 3 steps, messages or answers"):
+    with pytest.raises(TrajectoryError, match="more than 3 steps, blocks, messages or answers"):
         read(tmp_path / "a")
 
 
@@ -415,6 +415,16 @@ BROKEN_ACTIONS = {
     "no end": run_record() + b"B" + ONE,
 }
 BROKEN |= {f"actions: {name}": (data, "before byte") for name, data in BROKEN_ACTIONS.items()}
+
+
+def test_an_episode_of_too_many_blocks_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "MAX_STEPS", 3)
+    for count in (3, 4):
+        write_stream(tmp_path / f"{count}", run_record(), b"B", ONE * count, b"C")
+    (episode,) = read(tmp_path / "3")
+    assert len(episode.steps) == 3
+    with pytest.raises(TrajectoryError, match="more than 3 steps, blocks"):
+        read(tmp_path / "4")
 
 
 def test_message_belongs_to_its_run(tmp_path: Path) -> None:
