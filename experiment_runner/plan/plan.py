@@ -237,8 +237,8 @@ class Plan:
             numbers: of the trials of each combination; None for those from 0.
 
         Raises:
-            SettingError: two trials would have the same id, as when a value is listed twice; or there are more
-                than a run can have.
+            SettingError: two trials would have the same id, as when a value is listed twice; or there are too
+                many trials for a run.
         """
         numbers = range(self.trials) if numbers is None else numbers
         combinations = [sum(map(_combinations, sweeps)) or 1 for sweeps in (self.agents, self.environments)]
