@@ -43,7 +43,6 @@ standing still earns. Nothing resets the game: the experiment begins each episod
 
 _TRUTH: Final = {"type": "boolean"}
 _WHOLE: Final = {"type": "integer"}
-_NUMBER: Final = {"type": "number"}
 _MAYBE: Final = {"type": ["number", "null"]}
 _TEXTS: Final = {"type": "array", "items": {"type": "string"}}
 _UNTIL: Final = {"type": "string", "enum": [*Until], "description": f"when the actions stop early: {UNTIL}"}
@@ -56,9 +55,8 @@ _TOOLS: Final[Mapping[str, tuple[str, dict[str, Any]]]] = {
 
 _ANSWER: Final = {
     **dict.fromkeys(("turn", "episode", "steps"), _WHOLE),
-    **dict.fromkeys(("reward", "return"), _NUMBER),
     **dict.fromkeys(("over", "forfeit"), _TRUTH),
-    **dict.fromkeys(("steps_left", "time_left"), _MAYBE),
+    **dict.fromkeys(("reward", "return", "steps_left", "time_left"), _MAYBE),
     "legal": _TEXTS,
 }
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from glue.console import one_line, printable
 from glue.errors import GlueError, LocalProtocolError
-from glue.plugins.words import find_picture, find_words
+from glue.plugins.words import Words, find_picture, find_words
 from glue.taskspec import Range, Ranges, Space, TaskSpec, legal_values, mask_sizes, parse_task_spec
 from glue.types import Action, Observation
 
@@ -58,7 +58,9 @@ class Texts:
                 f"not {one_line(task_spec, 80)!r}"
             )
         self._spec = spec
-        self._words = find_words(spec)
+        words = find_words(spec)
+        known = all(spec.actions.check(action) is None for action in words.actions.values())
+        self._words = words if known else Words("", {})  # of another environment, whose name this one has
         self._picture = find_picture(spec)
         self._most = most
         self.names: Final[Mapping[str, Action]] = self._words.actions or _enumerated(spec.actions)

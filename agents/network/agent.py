@@ -9,6 +9,7 @@ They are made from the view `tiles` of docs/gymnasium.md.
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
@@ -20,6 +21,7 @@ from agents.mario.agent import ACTIONS, NUM_ACTIONS, MarioAgent, legal_actions
 from agents.mario.observation import COLUMNS, ROWS, decode
 from glue.compiled.jit import entry
 from glue.errors import ConfigError
+from glue.files import open_regular
 from glue.options import Option
 from glue.saves import pack_generator, unpack_generator
 from glue.types import Action, Observation
@@ -44,6 +46,8 @@ _NUMBERS: Final = 4  # of a sprite: place and velocity
 _LARGE: Final = 10  # Mario's kinds
 _WITH_FIRE: Final = 11
 _NEAR: Final = np.float32(0.2)  # 1 / tiles
+
+_MOST_BYTES: Final = 2**28  # of a file, and of what it unpacks to
 
 _SOLID: Final = np.isin(np.arange(11), [2, 4, 5, 6, 7])
 _LEDGE: Final = np.isin(np.arange(11), [1, 3])
@@ -239,7 +243,11 @@ def load(path: str) -> Network:
     """
     network: dict[str, Reals] = {}
     try:
-        with np.load(path, allow_pickle=False) as saved:
+        with open_regular(Path(path), most=_MOST_BYTES, follow=True) as file:
+            if (size := sum(member.file_size for member in zipfile.ZipFile(file).infolist())) > _MOST_BYTES:
+                raise ValueError(f"it unpacks to {size:,} bytes, and a network has at most {_MOST_BYTES:,}")
+            file.seek(0)
+            saved = np.load(file, allow_pickle=False)
             width = FEATURES
             for layer in range(LAYERS):
                 weight, bias = _checked(saved[f"weight{layer}"]), _checked(saved[f"bias{layer}"])
@@ -249,7 +257,7 @@ def load(path: str) -> Network:
                 width = len(bias)
         if width != NUM_ACTIONS:
             raise ValueError(f"it has {width} outputs, not {NUM_ACTIONS}")
-    except Exception as error:  # of zip, zlib and Python's tokenizer, by way of NumPy
+    except Exception as error:  # of any kind: NumPy and zipfile raise many for a damaged file
         raise ConfigError(
             f"policy is not the file of a network for the agent network: {path!r}: {error}"
         ) from None

@@ -249,20 +249,21 @@ def sampler_of(tune: TunePlan, space: Space, seed: int) -> Sampler:
         ConfigError: Optuna is not installed.
     """
     if tune.sampler == "grid":
-        return Sampler(_grid(space))
+        return Sampler(_grid(space, tune.configurations))
     if tune.sampler == "random":
         return Sampler(_random(space, tune.configurations, np.random.default_rng(seed)))
     return _Optuna(space, seed)
 
 
-def _grid(space: Space) -> Sequence[Configuration]:
+def _grid(space: Space, most: int) -> Sequence[Configuration]:
     values = [
         list(dict.fromkeys(one.at(i / (one.points - 1)) for i in range(one.points)))
         if isinstance(one, Range)
         else one
         for one in space.values()
     ]
-    return [dict(zip(space, chosen, strict=True)) for chosen in itertools.product(*values)]
+    some = itertools.islice(itertools.product(*values), most)  # all of a grid may not fit into memory
+    return [dict(zip(space, chosen, strict=True)) for chosen in some]
 
 
 def _random(space: Space, count: int, generator: np.random.Generator) -> list[Configuration]:
@@ -313,7 +314,8 @@ def _suggested(trial: Any, name: str, one: Range | tuple[Value, ...]) -> Value:
     if isinstance(one, tuple):
         value = trial.suggest_categorical(name, one)
     elif one.integer:
-        value = trial.suggest_int(name, int(one.low), int(one.high), log=one.log)
+        first, last = one.ends
+        value = trial.suggest_int(name, int(first), int(last), log=one.log)
     else:
         value = trial.suggest_float(name, one.low, one.high, log=one.log)
     return value

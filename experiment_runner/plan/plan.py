@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,6 +32,8 @@ from glue.pace import REPEAT, Pace
 from glue.plugins.loading import file_in, located, short_name
 
 ROLES: Final = ("environments", "agents")
+
+_MOST_TRIALS: Final = 10_000_000  # of a run: they are in memory, at a kilobyte each
 
 Seeds = Literal["number", "id"]
 """The part of a trial from which its seed is derived, with the experiment's seed; `id` before 0.3.0."""
@@ -234,13 +237,18 @@ class Plan:
             numbers: of the trials of each combination; None for those from 0.
 
         Raises:
-            SettingError: two trials would have the same id, as when a value is listed twice.
+            SettingError: two trials would have the same id, as when a value is listed twice; or there are too
+                many trials for a run.
         """
+        numbers = range(self.trials) if numbers is None else numbers
+        combinations = [sum(map(_combinations, sweeps)) or 1 for sweeps in (self.agents, self.environments)]
+        if math.prod(combinations) * len(numbers) > _MOST_TRIALS:
+            raise SettingError(f"the plan has more than {_MOST_TRIALS:,} trials: sweep over fewer values")
         specs = []
         for (agent_part, agent), (environment_part, environment) in itertools.product(
             _expand_role(self.agents), _expand_role(self.environments)
         ):
-            for number in range(self.trials) if numbers is None else numbers:
+            for number in numbers:
                 name = TrialId.of(agent_part, environment_part, number)
                 seed = trial_seed(self.seed, str(number) if self.seeds == "number" else name)
                 limits = (self.episodes, self.max_steps, seed, self.steps, self.pace)
@@ -393,6 +401,10 @@ def _expand_role(sweeps: Sequence[RoleSweep]) -> list[tuple[str, RoleSpec | None
     if not sweeps:
         return [(REMOTE, None)]
     return [(part, spec) for sweep in sweeps for part, spec in sweep.expand()]
+
+
+def _combinations(sweep: RoleSweep) -> int:
+    return math.prod(len(_as_tuple(value)) for value in sweep.options.values())
 
 
 def _default_label(name: str) -> str:

@@ -16,6 +16,7 @@ A range of whole numbers has `integer = true`; in a grid, a range has as many va
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -39,7 +40,8 @@ class Range:
         points: number of values in a grid.
 
     Raises:
-        SettingError: the ends are in the wrong order, or cannot have logarithms.
+        SettingError: the ends are in the wrong order, too far apart for floats, cannot have logarithms, or
+            have no whole number between them where one is wanted.
     """
 
     low: int | float
@@ -55,6 +57,17 @@ class Range:
                 f"a range is from low to a greater high{', above 0' if self.log else ''}, "
                 f"not from {shown(self.low)} to {shown(self.high)}"
             )
+        low, high = float(self.low), float(self.high)
+        if not math.isfinite(high / low if self.log else high - low):
+            raise SettingError(f"a range from {shown(self.low)} to {shown(self.high)} is too wide to search")
+        first, last = self.ends
+        if first > last:
+            raise SettingError(f"there is no whole number from {shown(self.low)} to {shown(self.high)}")
+
+    @property
+    def ends(self) -> tuple[int | float, int | float]:
+        """The least and the greatest value."""
+        return (math.ceil(self.low), math.floor(self.high)) if self.integer else (self.low, self.high)
 
     def at(self, share: float) -> Value:
         """Return the value at a share, 0 to 1, of the way from low to high."""
@@ -62,7 +75,8 @@ class Range:
             value = float(self.low * (self.high / self.low) ** share)
         else:
             value = float(self.low + (self.high - self.low) * share)
-        value = min(max(value, self.low), self.high)
+        first, last = self.ends
+        value = min(max(value, first), last)
         return round(value) if self.integer else value
 
 

@@ -248,12 +248,12 @@ def scatter(
                 _plot_mean(axes, reference[1], window, reference[0], "--", "0.4")
             _plot_mean(axes, returns, window, f"mean of {counted(window, 'episode')}", "-", "black")
             count = _trials([returns]).replace(" ", "\N{NO-BREAK SPACE}")
-            axes.set_title(textwrap.fill(f"{name} ({count})", _TITLE_LETTERS // columns))
+            axes.set_title(textwrap.fill(f"{_literal(name)} ({count})", _TITLE_LETTERS // columns))
             axes.set_xlim(left=0)
             if number + columns >= len(curves):  # no panel below
                 axes.set_xlabel("episode")
                 axes.tick_params(labelbottom=True)
-        figure.supylabel(label, fontsize="medium")
+        figure.supylabel(_literal(label), fontsize="medium")
         # The dots in the panels are too faint for a legend.
         panels[0].plot([], [], ".", color=_COLORS[0], label="an episode")
         _legend_below(figure, panels[:1])
@@ -296,8 +296,8 @@ def comparison(
             axes.set_ylim(len(agents) - 0.5, -0.5)
             axes.grid(visible=False, axis="y")
             if environment:
-                axes.set_title(textwrap.fill(environment, _TITLE_LETTERS))
-        panels[-1].set_xlabel(label)
+                axes.set_title(textwrap.fill(_literal(environment), _TITLE_LETTERS))
+        panels[-1].set_xlabel(_literal(label))
         curves = [values for agents in environments.values() for values in agents.values()]
         _title(figure, f"{final} of each trial, with 95 % bootstrap intervals", curves, layout)
         _legend_below(figure, panels[:1])
@@ -414,19 +414,25 @@ def _environments(
     figure, panels, columns = _grid(len(names), layout, "none")
     for number, (name, axes) in enumerate(zip(names, panels, strict=True)):
         if name:
-            axes.set_title(textwrap.fill(name, _TITLE_LETTERS // columns))
+            axes.set_title(textwrap.fill(_literal(name), _TITLE_LETTERS // columns))
         if number + columns >= len(panels):  # no panel below
-            axes.set_xlabel(across)
+            axes.set_xlabel(_literal(across))
     if len(panels) == 1:
-        panels[0].set_ylabel(up)
+        panels[0].set_ylabel(_literal(up))
     else:
-        figure.supylabel(up, fontsize="medium")
+        figure.supylabel(_literal(up), fontsize="medium")
     return figure, dict(zip(names, panels, strict=True))
 
 
 def _marked(name: str, trials: Sized) -> str:
     """Return a curve's name, marked if its interval is one of few trials."""
-    return name + (FEW if len(trials) < stats.FEW_TRIALS else "")
+    shown = _literal(f" {name}" if name.startswith("_") else name)  # matplotlib's legends omit those with a _
+    return shown + (FEW if len(trials) < stats.FEW_TRIALS else "")
+
+
+def _literal(text: str) -> str:
+    """Return a text of others for matplotlib, which would take what is between two $ for a formula."""
+    return text.replace("$", r"\$")
 
 
 def _title(figure: Figure, text: str, curves: Iterable[Sized], layout: Layout) -> None:

@@ -1,15 +1,19 @@
 """Learning curves as SVG, for the page of runs and for the board of a competition.
 
 Colors are classes, which the style sheet of the page sets for light and dark. Lines that share a color differ
-in their dashes, and a legend has a sample of each line. A drawing holds numbers and fixed words only: names,
-which may come from anyone, are outside it.
+in their dashes, and a legend has a sample of each line. The names of lines are outside a drawing. The label
+of an axis may be the name of a metric, and come from anyone.
 """
 
 from __future__ import annotations
 
+import html
 import math
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
+
+from glue.console import printable
 
 Numbers = Sequence[float | None]
 """Coordinates; None where there is no value."""
@@ -20,6 +24,7 @@ _DASHES: Final = ("", "10 4", "2 4", "10 4 2 4", "16 6", "5 3")
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 76, 30, 10, 46
 _TICKS: Final = 6
+_LEAST: Final = 1e-300  # number whose logarithm is taken
 _Place = Callable[[float, float], tuple[float, float]]
 """A function that returns the pixel of a pair of numbers."""
 
@@ -52,10 +57,9 @@ class _Scale(NamedTuple):
     def ticks(self) -> list[float]:
         if self.kind == "linear":
             return _round_numbers(self.low, self.high)
-        top = max(abs(self.low), abs(self.high), 1e-300)
-        powers = [
-            10.0**power for power in range(math.floor(math.log10(top)) - 5, math.ceil(math.log10(top)) + 1)
-        ]
+        top = max(abs(self.low), abs(self.high), _LEAST)
+        last = min(math.ceil(math.log10(top)), sys.float_info.max_10_exp)
+        powers = [10.0**power for power in range(math.floor(math.log10(top)) - 5, last + 1)]
         if self.kind == "symlog":
             powers = [power for power in powers if power >= 1]
             powers = [-power for power in reversed(powers)] + [0.0, *powers]
@@ -64,7 +68,7 @@ class _Scale(NamedTuple):
 
     def _bent(self, value: float) -> float:
         if self.kind == "log":
-            return math.log10(max(value, 1e-300))
+            return math.log10(max(value, _LEAST))
         return math.copysign(math.log10(1 + abs(value)), value) if self.kind == "symlog" else value
 
 
@@ -166,7 +170,7 @@ def _axes(
 
 
 def _text(position: str, anchor: str, words: str) -> str:
-    return f'<text {position} text-anchor="{anchor}">{words}</text>'
+    return f'<text {position} text-anchor="{anchor}">{html.escape(printable(words))}</text>'
 
 
 def _scale(values: Iterator[float], log: bool) -> _Scale:
@@ -180,7 +184,7 @@ def _scale(values: Iterator[float], log: bool) -> _Scale:
 def _round_numbers(low: float, high: float) -> list[float]:
     """Return about six round numbers from `low` to `high`."""
     rough = (high - low) / _TICKS
-    power = 10.0 ** math.floor(math.log10(rough)) if 0 < rough < math.inf else 1.0
+    power = 10.0 ** math.floor(math.log10(rough)) if _LEAST < rough < math.inf else 1.0
     step = next((power * factor for factor in _STEPS if power * factor >= rough), power)
     first = math.ceil(low / step)
     return [step * number for number in range(first, first + 2 * _TICKS + 2) if step * number <= high]

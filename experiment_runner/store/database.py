@@ -5,7 +5,7 @@ survives the process, however it ends. If the machine loses power, the commits s
 be lost; all earlier commits are intact.
 
 A database is not trusted, since a run may come from anyone. Its tables are checked before they are used
-(see `schema`), and the work of a query is limited in proportion to the size of the files.
+(see `schema`), and the work and the texts of a query are limited in proportion to the size of the files.
 """
 
 from __future__ import annotations
@@ -37,6 +37,10 @@ _INSTRUCTIONS_PER_BYTE: Final = 100
 _INSTRUCTIONS_AT_LEAST: Final = 10_000_000  # a fraction of a second
 _INSTRUCTIONS_A_TICK: Final = 100_000
 
+# A query may return the id of a trial, or the names of its metrics, once for each row that refers to it.
+_LETTERS_PER_BYTE: Final = 100
+_LETTERS_AT_LEAST: Final = 2**26
+
 
 class StorageError(ExperimentError):
     """The disk or the database failed: nothing more can be stored. Earlier commits are safe."""
@@ -50,16 +54,19 @@ class Database:
         self._directory = directory
         self._work = 0  # of the current query, in instructions
         self._stopped = False
+        self._letters = 0  # of the texts of the current query, in bytes
         connection.set_progress_handler(self._tick, _INSTRUCTIONS_A_TICK)
+        connection.text_factory = self._text
 
     def query(self, statement: str, *values: object) -> list[Any]:
         """Return the rows of a SELECT.
 
         Raises:
             sqlite3.Error: the database cannot be read.
-            ExperimentError: the query exceeds the work that a database of this size may need.
+            ExperimentError: the query exceeds the work, or its texts the size, that a database of this size
+                may need.
         """
-        self._work = 0
+        self._work = self._letters = 0
         self._stopped = False
         try:
             return self.connection.execute(statement, values).fetchall()
@@ -68,9 +75,7 @@ class Database:
                 raise
             if not self._stopped:  # Ctrl-C was raised in `_tick`, where SQLite swallows exceptions
                 raise KeyboardInterrupt from None
-            raise ExperimentError(
-                f"cannot read {self._directory}: {_DATABASE} is damaged: a query does not end"
-            ) from None
+            raise self._damaged("a query does not end") from None
 
     def close(self) -> None:
         """Close the files. May be called twice."""
@@ -81,6 +86,15 @@ class Database:
         if self._work > _INSTRUCTIONS_AT_LEAST:
             self._stopped = self._work > _INSTRUCTIONS_PER_BYTE * _size(self._directory)
         return self._stopped
+
+    def _text(self, data: bytes) -> str:
+        self._letters += len(data)
+        if self._letters > _LETTERS_AT_LEAST and self._letters > _LETTERS_PER_BYTE * _size(self._directory):
+            raise self._damaged("its texts are repeated too often")
+        return data.decode()
+
+    def _damaged(self, what: str) -> ExperimentError:
+        return ExperimentError(f"cannot read {self._directory}: {_DATABASE} is damaged: {what}")
 
 
 def holds_run(directory: Path) -> bool:

@@ -361,15 +361,28 @@ def runs_under(folder: Path) -> Iterator[Path]:
 
 
 def parts_of(directory: Path) -> list[Path]:
-    """Return the shares of a run's trials that tasks of a job array continue, each a run, by number."""
-    numbered = [path for path in (directory / PARTS).glob("*") if path.name.isdecimal() and holds_run(path)]
-    return sorted(numbered, key=lambda path: int(path.name))
+    """Return the shares of a run's trials that tasks of a job array continue, each a run, by number.
+
+    Raises:
+        ExperimentError: the database of one cannot be read.
+    """
+    numbered = [path for path in (directory / PARTS).glob("*") if path.name.isdecimal()]
+    return [path for path in sorted(numbered, key=lambda path: int(path.name)) if _is_run(path)]
 
 
 def is_part(directory: Path) -> bool:
-    """Return whether a run is a share of another run's trials."""
+    """Return whether a run is a share of another run's trials.
+
+    Raises:
+        ExperimentError: the database of the other run cannot be read.
+    """
     folder = directory.absolute().parent
-    return folder.name == PARTS and holds_run(folder.parent)
+    return folder.name == PARTS and _is_run(folder.parent)
+
+
+def _is_run(directory: Path) -> bool:
+    with reported(f"cannot read {directory}"):
+        return holds_run(directory)
 
 
 def read_about(directory: Path) -> dict[str, Any]:

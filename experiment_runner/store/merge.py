@@ -58,10 +58,12 @@ def merge(runs: Sequence[Results], directory: Path) -> None:
 
 
 def _about(run: Results) -> object:
-    """Return the contents of run.json, which are kept but not interpreted."""
+    """Return the contents of run.json, which are kept but not interpreted; as text if they are not JSON."""
     text = _text(run.directory / ABOUT_FILE)
     try:
-        return json.loads(text)
+        about = json.loads(text)
+        json.dumps(about, allow_nan=False)  # which would leave a run.json that cannot be read
+        return about
     except (ValueError, RecursionError):
         return text
 

@@ -86,7 +86,7 @@ def unpacked(rows: Iterable[tuple[str, bytes]]) -> dict[str, Metric]:
     for joined, parts in blocks.items():
         names = joined.split("\n")
         width = 2 + len(names)
-        if any(len(data) % (8 * width) for data in parts):
+        if any(not data or len(data) % (8 * width) for data in parts):
             raise ValueError("values of metrics without a name")
         table = np.frombuffer(b"".join(parts), "<f8").reshape(-1, width)
         where = table[:, :2]

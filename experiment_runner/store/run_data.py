@@ -240,12 +240,13 @@ def write_parquet(table: Table, path: Path) -> None:
         from pyarrow import parquet
     types = table.types
     arrow_types = {bool: arrow.bool_(), int: arrow.int64(), float: arrow.float64(), str: arrow.string()}
-    schema = arrow.schema([(name, arrow_types[types[name]]) for name in types])
-    with written(path) as partial, parquet.ParquetWriter(partial, schema) as writer:
-        for rows in table.rows:
-            cells = zip(types, zip(*rows, strict=True), strict=True)
-            arrays = [[None if c is None else types[name](c) for c in column] for name, column in cells]
-            writer.write_table(arrow.table(arrays, schema))
+    with written(path) as partial:
+        schema = arrow.schema([(name, arrow_types[types[name]]) for name in types])
+        with parquet.ParquetWriter(partial, schema) as writer:
+            for rows in table.rows:
+                cells = zip(types, zip(*rows, strict=True), strict=True)
+                arrays = [[None if c is None else types[name](c) for c in column] for name, column in cells]
+                writer.write_table(arrow.table(arrays, schema))
 
 
 def _options(spec: TrialSpec) -> dict[str, Value]:

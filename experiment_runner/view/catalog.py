@@ -225,7 +225,8 @@ def _returns(results: Results, specs: Sequence[TrialSpec]) -> list[float]:
             found.setdefault(repr((spec.agent, spec.environment)), []).append(
                 last.sum_of_returns / last.episodes
             )
-    return [sum(means) / len(means) for means in found.values()][:_MOST_NAMES]
+    of_settings = [sum(means) / len(means) for means in found.values()]  # which may exceed all numbers
+    return [*filter(math.isfinite, of_settings)][:_MOST_NAMES]
 
 
 def _options(specs: Sequence[TrialSpec]) -> dict[str, list[str]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import gymnasium
@@ -58,7 +59,11 @@ def connect(hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, *, wait: flo
         daemon=True,
     )
     stand_in.start()
-    return GlueEnv(glue)
+    with ExitStack() as failed:
+        failed.callback(glue.close)  # otherwise nobody else could use the session
+        env = GlueEnv(glue)
+        failed.pop_all()
+    return env
 
 
 def connect_vec(

@@ -236,7 +236,10 @@ def _string(max_text: int) -> Field:
 
 def _json(max_text: int) -> Field:
     def read(value: Any) -> Any:
-        return _padded(json.dumps(value, ensure_ascii=False), max_text)
+        try:
+            return _padded(json.dumps(value, ensure_ascii=False), max_text)
+        except RecursionError:
+            raise SimulatorError("a value is nested too deeply") from None
 
     def write(value: Any) -> Any:
         text = _unpadded(value)

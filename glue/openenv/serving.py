@@ -91,7 +91,7 @@ def application(
         idle: seconds after which a connection that is in no episode is closed.
 
     Raises:
-        ConfigError: the task spec does not state the actions.
+        ConfigError: the task spec does not state the actions, or has a name that OpenEnv does not allow.
     """
     app = create_fastapi_app(*_models(make, name), MAX_SESSIONS, env_name=name, mode="simulation")
     # Sessions over MCP have no connection whose end would end them, and environments of ours have no tools.
@@ -146,7 +146,16 @@ def _models(make: Callable[[], Environment], name: str) -> tuple[Any, Any, Any]:
 def _model(name: str, base: Any, space: SpaceLike, single: str) -> Any:
     parts = space.spaces if isinstance(space, spaces.Dict) else {single: space}
     fields: dict[str, Any] = {key: (_type(part, f"{name}{key.title()}"), ...) for key, part in parts.items()}
-    return create_model("".join(filter(str.isalnum, name)), __base__=base, **fields)
+    known: list[str] = []
+    with suppress(TypeError, ValueError):  # of Pydantic, about some names
+        made = create_model("".join(filter(str.isalnum, name)), __base__=base, **fields)
+        known = [*made.model_fields]
+    if known != [*base.model_fields, *fields]:
+        raise ConfigError(
+            f"OpenEnv cannot send a Dict of {', '.join(fields)}: a name may not begin with _, or be one of "
+            f"its own such as {', '.join(base.model_fields) or 'model_config'}"
+        )
+    return made
 
 
 def _type(space: SpaceLike, name: str) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Awaitable, Callable
@@ -145,6 +146,22 @@ def test_mario_is_shown_as_an_image_on_request(monkeypatch: pytest.MonkeyPatch) 
         assert (image.mime_type, image.data[:4]) == ("image/png", "iVBO")
 
     talk(make_server(agent), "auto", looks)
+
+
+@pytest.mark.parametrize("reward", [math.nan, math.inf])
+def test_a_reward_that_json_lacks_is_null(monkeypatch: pytest.MonkeyPatch, reward: float) -> None:
+    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
+    agent = MCPAgent()
+    agent.game.task(TASK_SPEC)
+    agent.game.start(MARIO_SEEN)
+    agent.game.step(reward, MARIO_SEEN)
+
+    async def looks(client: Any) -> None:
+        await client.list_tools()  # and with them the schemas, which the client checks from now on
+        assert (await call(client, "look")).structured_content["return"] is None
+
+    for mode in MODES:
+        talk(make_server(agent), mode, looks)
 
 
 def test_the_page_can_be_followed(tmp_path: Path) -> None:

@@ -44,6 +44,12 @@ def test_rules_say_the_task_spec_in_words() -> None:
     assert "a number.\n" in made(GRID).rules
 
 
+def test_words_of_another_environment_of_that_name_are_not_used() -> None:
+    texts = made(f"{GRID} mines of ours")
+    assert [*texts.names] == ["1 -1", "1 0", "1 1", "2 -1", "2 0", "2 1"]
+    assert "The environment says of itself: mines of ours" in texts.rules
+
+
 def test_actions_have_names_numbers_and_repeats() -> None:
     def ints(spec: str, *choice: str) -> list[list[int]]:
         return [action.ints.tolist() for action in made(spec).actions([*choice], Observation())]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -119,7 +120,30 @@ def test_a_file_that_is_no_network_is_refused(tmp_path: Path, spoil: Callable[[A
         NetworkAgent(policy=str(tmp_path / "network.npz"))
 
 
-@pytest.mark.parametrize("content", [None, b"", b"no archive"])
+def header(shape: str) -> bytes:
+    text = f"{{'descr': '<f2', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00v\x00" + text.encode()
+
+
+@pytest.mark.parametrize("weights", [b"no array", header("()") + b"..", header("(10**12, 1)"), header("(((")])
+def test_an_array_that_is_none_is_refused(tmp_path: Path, weights: bytes) -> None:
+    with zipfile.ZipFile(tmp_path / "network.npz", "w") as archive:
+        archive.writestr("weight0.npy", weights)
+        archive.writestr("bias0.npy", header("()") + b"..")
+    with pytest.raises(ConfigError, match="policy"):
+        NetworkAgent(policy=str(tmp_path / "network.npz"))
+
+
+def test_a_file_that_unpacks_to_more_than_a_network_has_is_not_unpacked(tmp_path: Path) -> None:
+    archive = zipfile.ZipFile(tmp_path / "network.npz", "w", zipfile.ZIP_DEFLATED)
+    with archive, archive.open("weight0.npy", "w") as member:
+        for _ in range(257):
+            member.write(bytes(2**20))
+    with pytest.raises(ConfigError, match="unpacks to 269,484,032 bytes"):
+        NetworkAgent(policy=str(tmp_path / "network.npz"))
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no archive", b"\x93NUMPY\x01\x00"])
 def test_a_missing_or_damaged_file_is_refused(tmp_path: Path, content: bytes | None) -> None:
     path = tmp_path / "network.npz"
     if content is not None:

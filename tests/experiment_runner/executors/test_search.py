@@ -12,7 +12,7 @@ import pytest
 from agents.tabular import SarsaAgent
 from experiment_runner.analysis.stats import interquartile_mean
 from experiment_runner.executors.job import BOTH, Placement, RunConfig
-from experiment_runner.executors.search import RESULT, SEARCH, Configuration, Score, sampler_of, tune
+from experiment_runner.executors.search import RESULT, SEARCH, Configuration, Score, _grid, sampler_of, tune
 from experiment_runner.plan.file import dump_plan, parse_plan
 from experiment_runner.plan.plan import Plan
 from experiment_runner.plan.tuning import Range, Space, TunePlan
@@ -83,6 +83,9 @@ def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
             f"[tune.agents.sarsa]\nstep_size = {{low = 0x{5000 * 'f'}, high = 1}}",
             "from a number of thousands",
         ),
+        ("[tune.agents.sarsa]\nstep_size = {low = 0, high = inf}", "from 0 to inf is too wide"),
+        ("[tune.agents.sarsa]\nstep_size = {low = 1e-300, high = 1e300, log = true}", "too wide"),
+        ("[tune.agents.sarsa]\nstep_size = {low = 0.2, high = 0.8, integer = true}", "no whole number"),
         ("[tune.agents.sarsa]\nstep_size = {lo = 0.1, high = 0.2}", "low"),
         ("[tune.agents.sarsa]\nstep_size = 3", "range"),
     ],
@@ -165,11 +168,21 @@ def test_another_plan_does_not_continue_a_search(tmp_path: Path) -> None:
         tune(tmp_path, searching(configurations=2), CONFIG, Silent())
 
 
+def test_of_a_grid_only_the_configurations_that_are_run_are_made() -> None:
+    assert _grid({"a": Range(0, 1), "b": (1, 2, 3)}, 4) == [
+        {"a": 0.0, "b": 1},
+        {"a": 0.0, "b": 2},
+        {"a": 0.0, "b": 3},
+        {"a": 0.25, "b": 1},
+    ]
+
+
 @pytest.mark.parametrize("sampler", ["random", "grid", "optuna"])
 def test_values_are_within_their_ranges(sampler: str) -> None:
     space: Space = {
         "rate": Range(1e-4, 1.0, log=True),
         "size": Range(1, 64, log=True, integer=True),
+        "tiles": Range(0.5, 3.7, integer=True),
         "kind": ("a", "b"),
     }
     search = replace(TunePlan({"agent": space}, configurations=60), sampler=sampler)  # type: ignore[arg-type]
@@ -183,4 +196,5 @@ def test_values_are_within_their_ranges(sampler: str) -> None:
     assert rates.max() <= 1.0
     assert np.median(rates) < 0.2 or sampler == "optuna"
     assert {type(one["size"]) for one in found} == {int}
+    assert {one["tiles"] for one in found} == {1, 2, 3}
     assert {one["kind"] for one in found} == {"a", "b"}

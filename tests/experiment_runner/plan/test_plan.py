@@ -45,6 +45,15 @@ def test_plan_of_the_manual_expands_to_every_combination() -> None:
     assert (textbook.episodes, textbook.max_steps) == (5000, 0)
 
 
+def test_a_plan_of_too_many_trials_is_refused_before_they_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("experiment_runner.plan.plan._MOST_TRIALS", 8)
+    plan = parse_plan(SMALL)
+    assert len(plan.expand()) == 8
+    for wrong in (replace(plan, trials=3), replace(plan, agents=(RoleSweep("x", {"a": (1, 2, 3)}),))):
+        with pytest.raises(ExperimentError, match="more than 8 trials"):
+            wrong.expand()
+
+
 def test_trials_of_one_combination_stand_together() -> None:
     assert [spec.id for spec in parse_plan(SMALL).expand()] == [
         f"{agent}/mario/level_seed={seed}/{number}"

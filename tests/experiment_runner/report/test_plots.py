@@ -159,6 +159,19 @@ def test_interval_of_few_trials_is_marked() -> None:
     assert "unreliable" in plots.learning_curves({("", "a"): np.ones((4, 3))}, rng()).get_suptitle()
 
 
+@pytest.mark.parametrize("name", ["_private", "$_$", "_$^$"])
+def test_a_name_of_any_characters_is_shown_as_it_is(tmp_path: Path, name: str) -> None:
+    figure = plots.learning_curves(
+        {(name, name): learner(9.0, 5), (name, "b"): learner(9.0, 5)}, rng(), label=name
+    )
+    assert [text.strip().replace("\\$", "$") for text in legend_of(figure)] == [name, "b"]
+    plots.save(figure, tmp_path / "figure.png")
+    plots.save(
+        plots.comparison({name: {name: np.ones(5)}}, rng(), final=FINAL, label=name), tmp_path / "figure.png"
+    )
+    plots.save(plots.scatter({name: learner(9.0)}, label=name), tmp_path / "figure.png")
+
+
 @pytest.mark.parametrize("empty", [{}, {"a": np.empty((0, 0))}])
 def test_nothing_to_draw_is_an_error(empty: dict[str, FloatArray]) -> None:
     with pytest.raises(ExperimentError, match="nothing to draw yet"):

@@ -83,6 +83,7 @@ def test_readings_after_a_checkpoint_go_with_its_episodes(store: Store) -> None:
     ("statement", "what"),
     [
         ("UPDATE readings SET data = x'00'", "values of metrics without a name"),
+        ("UPDATE readings SET data = x''", "values of metrics without a name"),
         (f"UPDATE readings SET data = x'{32 * 'ff'}'", "no whole number"),
         ("UPDATE readings SET data = 'text'", "got `str`"),
         ("UPDATE metric_names SET names = x'00'", "got `bytes`"),

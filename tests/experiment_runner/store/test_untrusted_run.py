@@ -17,7 +17,7 @@ import pytest
 from experiment_runner.executors.opening import open_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_object, as_text, overview
-from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
+from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE, read_about
 from experiment_runner.store.merge import merge
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
@@ -171,6 +171,17 @@ def test_ctrl_c_ends_a_query(run: Path) -> None:
     assert errors.strip().endswith("KeyboardInterrupt")
 
 
+def test_a_long_text_that_many_rows_refer_to_is_not_repeated_without_end(run: Path) -> None:
+    rows = "WITH RECURSIVE c(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM c WHERE i < 1000)"
+    change(
+        run,
+        "UPDATE trials SET id = printf('%.*c', 100000, 'x') WHERE key = 1",
+        f"INSERT INTO voids {rows} SELECT 1.0, 1, 1, '' FROM c",
+    )
+    with Results.open(run) as results, pytest.raises(ExperimentError, match="repeated too often"):
+        results.voids()
+
+
 def test_merge_takes_damaged_texts_as_they_are(run: Path, tmp_path: Path) -> None:
     (run / PLAN_FILE).write_bytes(b"\xff\xfe")
     (run / ABOUT_FILE).write_text("[" * 100_000)
@@ -178,6 +189,14 @@ def test_merge_takes_damaged_texts_as_they_are(run: Path, tmp_path: Path) -> Non
         merge([results], tmp_path / "merged")
     with Results.open(tmp_path / "merged") as merged:
         assert [trial.done for trial in merged.trials()] == [20, 20]
+
+
+@pytest.mark.parametrize("number", ["NaN", "1e999"])
+def test_merge_of_a_number_that_json_lacks_can_be_read(run: Path, tmp_path: Path, number: str) -> None:
+    (run / ABOUT_FILE).write_text(f'{{"load": {number}}}')
+    with Results.open(run) as results:
+        merge([results], tmp_path / "merged")
+    assert read_about(tmp_path / "merged") == {"merged": {str(run): f'{{"load": {number}}}'}}
 
 
 def test_merge_that_fails_keeps_a_directory_that_was_there(run: Path, tmp_path: Path) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -22,8 +24,9 @@ from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.records import MEASURES, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from experiment_runner.view.catalog import address_of, run_id
+from experiment_runner.view.catalog import Catalog, address_of, run_id
 from experiment_runner.view.curves import Look, Wanted, _as_json, curves, drawn
+from experiment_runner.view.stream import as_json
 from tests.experiment_runner.view.pages import Inside
 from tests.system.runs import run as execute
 
@@ -52,7 +55,7 @@ def store_run(directory: Path, name: str = NAME, all_returns: Any = RETURNS) -> 
     ]
     with Store.create(directory, specs, {}) as store:
         for spec, returns, steps in zip(specs, all_returns, STEPS, strict=True):
-            for i, (total, length) in enumerate(zip(returns, steps, strict=True)):
+            for i, (total, length) in enumerate(zip(returns, steps, strict=False)):
                 store.record(spec.id, EpisodeResult(i + 1, float(total), int(length), True, 0.0))
 
 
@@ -177,7 +180,13 @@ def test_no_two_of_forty_lines_look_the_same() -> None:
 
 
 @pytest.mark.parametrize("log", [(False, False), (True, True)])
-@pytest.mark.parametrize("values", [[0.0, 0.0], [-1e300, 1e300], [1e-300, 1e300], [-5.0, 7.0], [None, 3.0]])
+@pytest.mark.parametrize(
+    "values",
+    [
+        *([0.0, 0.0], [-1e300, 1e300], [1e-300, 1e300], [-5.0, 7.0], [None, 3.0]),
+        *([1e308, 1.7e308], [-8e307, 8e307], [0.0, 3e-323]),
+    ],
+)
 def test_any_numbers_are_drawn_inside_the_axes(values: list[float | None], log: tuple[bool, bool]) -> None:
     drawing = draw([Line([1.0, 2.0], values, values, values)], ("x", "y"), log=log)
     left, top, width, height = drawing["box"]
@@ -185,6 +194,20 @@ def test_any_numbers_are_drawn_inside_the_axes(values: list[float | None], log: 
         for x, y in (map(float, point.split(",")) for point in points.split()):
             assert left - 0.1 <= x <= left + width + 0.1
             assert top - 0.1 <= y <= top + height + 0.1
+
+
+def test_the_label_of_an_axis_is_text() -> None:
+    label = f"loss < 1 & {NAME}"
+    drawing = ElementTree.fromstring(draw([Line([1.0], [1.0])], ("step", label))["svg"])
+    assert [text.text for text in drawing.findall(".//{*}text")][-1] == label
+
+
+@pytest.mark.parametrize("total", [1.5e308, 1.0])
+def test_a_mean_that_exceeds_all_numbers_leaves_the_table_of_runs(tmp_path: Path, total: float) -> None:
+    store_run(tmp_path / "run", all_returns=np.full((TRIALS, 1), total))
+    (summary,) = Catalog([tmp_path]).changes().values()
+    assert summary is not None
+    assert json.loads(as_json(summary))["returns"] == [1.0] * (total == 1.0)
 
 
 def test_a_metric_is_drawn_over_steps(tmp_path: Path) -> None:

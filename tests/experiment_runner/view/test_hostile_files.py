@@ -28,7 +28,7 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.run_data import episode_table
 from experiment_runner.store.store import Store
 from experiment_runner.view.catalog import Catalog, run_in_full
-from glue.errors import GlueError
+from glue.errors import ExperimentError, GlueError
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
 from tests.experiment_runner.competition.contest import compete
@@ -104,6 +104,15 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         store.record(store.trials()[0].spec.id, EpisodeResult(1, 1.0, 2, True, 0.1))
     open_run(folder / "sound", PLAN).close()
     return folder
+
+
+@pytest.mark.parametrize(("damaged", "opened"), [("run/parts/0", "run"), ("", "parts/0")])
+def test_a_damaged_database_above_or_below_is_named(tmp_path: Path, damaged: str, opened: str) -> None:
+    resume(tmp_path / opened)
+    (tmp_path / damaged).mkdir(parents=True, exist_ok=True)
+    (tmp_path / damaged / "results.sqlite").write_bytes(b"no database")
+    with pytest.raises(ExperimentError, match=f"cannot read {tmp_path / damaged}: file is not a database"):
+        resume(tmp_path / opened)
 
 
 @each_thing

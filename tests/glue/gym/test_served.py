@@ -167,6 +167,17 @@ def test_a_session_that_was_left_takes_the_next_experiment(monkeypatch: pytest.M
     assert failed == []
 
 
+def test_a_session_whose_task_gymnasium_cannot_read_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    skeleton = make("skeleton")
+    monkeypatch.setattr(skeleton, "env_init", lambda: "no task spec", raising=False)
+    failures = []
+    with hub_with(skeleton) as hub:
+        for _ in range(2):
+            with pytest.raises(ConfigError, match="cannot be read") as failure:
+                glue.gym.connect(hub, wait=60)
+            failures.append(failure)  # which would keep what was not closed
+
+
 def test_check_env_passes_for_an_environment_behind_a_hub() -> None:
     from gymnasium.utils.env_checker import check_env
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,15 @@ def test_value_that_is_not_as_its_schema_says_is_refused(change: dict[str, Any],
     field = read_schema(SCHEMA, 16)
     with pytest.raises(SimulatorError, match=re.escape(expected)):
         Codec(field.space).pack(field.read({**VALUE, **change}))
+
+
+def test_value_too_deep_to_be_written_is_refused() -> None:
+    deep: list[Any] = []
+    for _ in range(sys.getrecursionlimit() * 50):
+        deep = [deep]
+    field = read_schema(SCHEMA, 16)
+    with pytest.raises(SimulatorError, match="moves: a value is nested too deeply"):
+        field.read({**VALUE, "moves": deep})
 
 
 def test_text_that_is_no_json_is_refused_as_a_value() -> None:

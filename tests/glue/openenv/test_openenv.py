@@ -20,9 +20,11 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any, Literal
 
+import gymnasium
 import numpy as np
 import pytest
 import uvicorn
+from gymnasium import spaces
 from openenv.core.env_server.http_server import create_fastapi_app
 from openenv.core.env_server.interfaces import Environment as OpenEnvironment
 from openenv.core.env_server.types import Action as OpenAction
@@ -37,6 +39,7 @@ from websockets.sync.server import serve as serve_websockets
 import glue
 import glue.gym
 from glue.errors import ConfigError, SimulatorError
+from glue.gym.served import GymnasiumEnvironment
 from glue.openenv.serving import _idle_bounded, application, serve
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Step
@@ -304,6 +307,24 @@ def test_mario_is_typed_and_comes_back_to_us_through_openenv() -> None:
         again.env_start()
         assert again.env_step(Action([1, 0, 1]))[2] is False
         again.env_cleanup()
+
+
+class Named(gymnasium.Env[Any, Any]):  # type: ignore[misc]
+    """Its observations and actions are dicts of one name each."""
+
+    def __init__(self, seen: str, done: str) -> None:
+        self.observation_space = spaces.Dict({seen: spaces.Discrete(3)})
+        self.action_space = spaces.Dict({done: spaces.Discrete(3)})
+
+
+@pytest.mark.parametrize(
+    ("seen", "done"),
+    [("reward", "a"), ("done", "a"), ("_a", "a"), ("a", "metadata"), ("a", "model_config")],
+)
+def test_name_that_openenv_does_not_allow_is_refused(seen: str, done: str) -> None:
+    with pytest.raises(ConfigError, match=f"cannot send a Dict of {seen if done == 'a' else done}"):
+        application(lambda: GymnasiumEnvironment(lambda: Named(seen, done)), "named")
+    application(lambda: GymnasiumEnvironment(lambda: Named("a", "reward")), "named")
 
 
 def test_idle_connection_is_closed_and_a_thinking_one_is_not() -> None:
