@@ -143,8 +143,8 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     "environments",
     multiple=True,
     metavar="NAME",
-    help="Environment that is not installed, and whose code you trust: FILE.py:CLASS, your copy of the "
-    "organiser's file, or any other name; repeat it for several.",
+    help="Environment, or opponent in one, that is not installed, and whose code you trust: FILE.py:CLASS, "
+    "your copy of the organiser's file, or any other name; repeat it for several.",
 )
 def verify(directory: Path, sign: Path | None, environments: tuple[str, ...]) -> int:
     """Play every recorded action again, and compare every reward and score, bit for bit."""

@@ -12,6 +12,7 @@ from experiment_runner.competition.records.copies import copies
 from experiment_runner.competition.records.record import record_path
 from experiment_runner.competition.records.seal import check_seal
 from experiment_runner.competition.season.forms import boards_as_json
+from experiment_runner.plan.user_files import players_of
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import (
     ABOUT_FILE,
@@ -36,7 +37,8 @@ def bundle(directory: Path, out: Path) -> list[str]:
     """Write a bundle of a run: its file, journal, seal, database, records, copies and boards.
 
     Returns:
-        The names of the environments that are not installed, and whose code the bundle does not hold.
+        The names of the environments and their opponents that are not installed, and whose code the bundle
+        does not hold.
 
     Raises:
         ExperimentError: the season is not closed, the run was changed since it was sealed, or a file cannot
@@ -62,7 +64,8 @@ def bundle(directory: Path, out: Path) -> list[str]:
                 write_flushed(folder / name, content)
             store.copy_to(folder)
         lock.release()
-    return sorted(name for name in {one.name for one in environments} if not is_installed(name))
+    named = {name for one in environments for name in players_of(one)}
+    return sorted(name for name in named if not is_installed(name))
 
 
 def board_differs(results: Results) -> bool:
