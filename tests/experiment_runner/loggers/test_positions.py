@@ -88,3 +88,19 @@ def test_points_of_later_episodes_are_those_of_all(run: Path) -> None:
     assert later == points[4:]
     assert points[0].time > 1000.0
     assert sum(point.values["episode/steps"] for point in points) == points[-1].step
+
+
+@pytest.mark.parametrize(
+    ("name", "accepted"),
+    [
+        ("agent/mean TD error", "agent/mean TD error"),
+        ("agent/loss (clip)", "agent/loss _clip_"),
+        ("agent//x/../y", "agent/_/x/_/y"),
+    ],
+)
+def test_a_metric_has_a_name_that_mlflow_accepts(name: str, accepted: str) -> None:
+    validation = pytest.importorskip("mlflow.utils.validation")
+    from experiment_runner.loggers.mlflow import _accepted
+
+    assert _accepted(name) == accepted
+    validation._validate_metric_name(accepted)
