@@ -38,10 +38,21 @@ def test_scores_of_a_run_are_what_their_actions_earn(tmp_path: Path, options: li
     result = json.loads(out.read_text())
     assert not wrong(result)
     assert CliRunner().invoke(generalise, ["verify", str(tmp_path / "scores")]).exit_code == 0
-    for name, value in (("episode_return", 1000.0), ("goal", None), ("actions", "0")):
+    unplayed = {"actions": "", "sims": 1, "goal": False}
+    for change in (
+        *({"episode_return": 1000.0}, {"goal": None}, {"actions": "0"}, {"steps": 1}, {"difficulty": 3}),
+        *({"actions": "0", "steps": 1, "goal": False, "episode_return": 0.0}, unplayed),
+    ):
         forged = copy.deepcopy(result)
-        forged["trials"][1]["few"][2][name] = value
-        assert len(wrong(forged)) == 1
+        forged["trials"][1]["few"][2] |= change
+        assert len(wrong(forged)) == 1, change
+    forged = copy.deepcopy(result)
+    forged["trials"][1]["few"][2] = forged["trials"][1]["few"][1]
+    said: list[str] = []
+    assert len([*differences(forged, said.append)]) == 1
+    assert said[0] == "1 of 3 levels of few have no episode, seed 2"
+    forged["trials"][1] = forged["trials"][0]
+    assert len(wrong(forged)) == 3
     if options:
         result["noise"] = 0.0
         assert wrong(result)
@@ -62,7 +73,7 @@ def test_what_cannot_be_replayed_is_refused() -> None:
     for broken in ({}, {**document, "trials": [{}]}, {**document, "sets": ["nothing"]}):
         with pytest.raises(ConfigError):
             wrong(broken)
-    score.update(level=0, actions="x")
+    score.update(level=0, actions="x", difficulty=0, steps=1)
     assert wrong(document)
 
 
