@@ -141,7 +141,7 @@ def benchmark_of(directory: Path) -> Benchmark:
             raise ValueError("its sets of levels are of another version")
         lists = ("agent_options", "sets", "seeds", "questions")
         return Benchmark(**{**fields, **{name: tuple(fields[name]) for name in lists}})
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{directory} is not a run of glue-generalise: {error}") from None
 
 
@@ -163,9 +163,9 @@ def read_scores(path: Path) -> Document:
             raise ValueError(f"it is longer than {_MOST_BYTES} bytes")
         scores: Document = json.loads(text)
         names = ("name", "trials")
-        if not all(name in scores for name in names):
+        if not isinstance(scores, dict) or not all(name in scores for name in names):
             raise ValueError(f"it has no {' or '.join(names)}")
-    except (OSError, EOFError, zlib.error, ValueError) as error:
+    except (OSError, EOFError, zlib.error, ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not a result of glue-generalise: {error}") from None
     return scores
 

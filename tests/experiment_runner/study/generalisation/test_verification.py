@@ -91,6 +91,15 @@ def test_a_compressed_file_is_read_and_a_bomb_is_refused(
         read_scores(file)
 
 
+@pytest.mark.parametrize("text", ["null", "[]", "3", "{}", '"name trials"', "[" * 100_000])
+def test_json_that_is_no_score_is_refused(tmp_path: Path, text: str) -> None:
+    for file in (tmp_path / "scores.json", tmp_path / benchmark.BENCHMARK_FILE):
+        file.write_text(text)
+    for path in (tmp_path / "scores.json", tmp_path):
+        with pytest.raises(ConfigError, match=r"is not a (result|run) of glue-generalise"):
+            read_scores(path)
+
+
 def test_noise_replaces_the_given_share_of_actions_and_is_repeatable() -> None:
     action = Action(ints=[1, 0, 1])
     first, again, other = (Noise(0.2, seed, 7, 0) for seed in (1, 1, 2))
