@@ -161,7 +161,7 @@ def read_scores(path: Path) -> Document:
             text = file.read(_MOST_BYTES + 1)
         if len(text) > _MOST_BYTES:
             raise ValueError(f"it is longer than {_MOST_BYTES} bytes")
-        scores: Document = json.loads(text)
+        scores: Any = json.loads(text)
         names = ("name", "trials")
         if not isinstance(scores, dict) or not all(name in scores for name in names):
             raise ValueError(f"it has no {' or '.join(names)}")

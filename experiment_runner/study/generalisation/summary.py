@@ -57,8 +57,8 @@ def table(documents: Sequence[Document], solvable: Set[int] = frozenset(), *, pl
         plain: for a terminal; otherwise in Markdown.
 
     Raises:
-        ConfigError: some have scores for each difficulty, and others do not; or fields are missing or of another
-            type.
+        ConfigError: some have scores for each difficulty, and others do not; or fields are missing, or of
+            another type.
     """
     kinds = {bool(document.get("sets")) for document in documents}
     if len(kinds) > 1:
