@@ -16,6 +16,7 @@ from experiment_runner.cli.generalise import generalise
 from experiment_runner.study.generalisation import benchmark
 from experiment_runner.study.generalisation.benchmark import read_scores
 from experiment_runner.study.generalisation.players import ACTIONS, Noise, digit_of
+from experiment_runner.study.generalisation.summary import table
 from experiment_runner.study.generalisation.verification import differences
 from glue import Action, ConfigError
 
@@ -88,6 +89,22 @@ def test_a_compressed_file_is_read_and_a_bomb_is_refused(
     file.write_bytes(gzip.compress(bytes(2**20 + 1)))
     with pytest.raises(ConfigError, match="longer than"):
         read_scores(file)
+
+
+@pytest.mark.parametrize("text", ["null", "[]", "3", "{}", '"name trials"', "[" * 100_000])
+def test_json_that_is_no_score_is_refused(tmp_path: Path, text: str) -> None:
+    for file in (tmp_path / "scores.json", tmp_path / benchmark.BENCHMARK_FILE):
+        file.write_text(text)
+    for path in (tmp_path / "scores.json", tmp_path):
+        with pytest.raises(ConfigError, match=r"is not a (result|run) of glue-generalise"):
+            read_scores(path)
+
+
+@pytest.mark.parametrize("sets", [[], ["few"]])
+@pytest.mark.parametrize("trial", [3, {}, {"few": None}, {"few": [3]}, {"few": [{"difficulty": 0}]}])
+def test_scores_without_their_fields_have_no_table(sets: list[str], trial: object) -> None:
+    with pytest.raises(ConfigError, match="these are not scores of glue-generalise"):
+        table([{"name": "someone", "sets": sets, "questions": [], "trials": [trial]}])
 
 
 def test_noise_replaces_the_given_share_of_actions_and_is_repeatable() -> None:
