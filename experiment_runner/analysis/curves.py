@@ -91,8 +91,8 @@ def over_episodes(
         span: first and last episode of interest.
     """
     means = running_mean(values, window)
-    first = max(0, int(max(span[0], 0)) - window)
-    last = min(means.shape[1] - 1, int(min(span[1], 2**53)) - window)
+    begin, end = (int(min(max(episode, 0), 2**53)) for episode in span)
+    first, last = max(0, begin - window), min(means.shape[1] - 1, end - window)
     if not means.size or last < first:
         return None
     shown = np.unique(np.linspace(first, last, _POINTS).astype(int))

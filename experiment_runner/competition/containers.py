@@ -333,8 +333,7 @@ class Container(Running):
         with suppress(OSError, DockerException, HTTPError):  # the engine is gone
             for event in self._events:
                 if event["Action"] == "oom":
-                    self.offence = f"used more than {self._memory / 2**20:g} MiB of memory"
-                    self._end(self.offence)
+                    self._offend(f"used more than {self._memory / 2**20:g} MiB of memory")
                 elif event["Action"] == "kill" and not self._stopped:
                     self._lose("the container engine was told to kill the container, or to end")
                 elif event["Action"] == "die":

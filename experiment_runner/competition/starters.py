@@ -101,6 +101,10 @@ class Running:
         """The most bytes of memory that it has used at once; None if unknown."""
         return None
 
+    def _offend(self, how: str) -> None:
+        self.offence = how
+        self._end(how)
+
     def _lose(self, why: str) -> None:
         if self.reason is None:
             self.lost = why

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Final
 
@@ -37,7 +38,7 @@ class MLflow(Logger):
         if run is None:
             run = self._runs[source.key] = self._open(source)
         metrics = [
-            Metric(name, value, int(point.time * 1000), point.step)
+            Metric(_accepted(name), value, int(point.time * 1000), point.step)
             for point in points
             for name, value in point.values.items()
         ]
@@ -53,7 +54,13 @@ class MLflow(Logger):
         if found:
             return str(found[0].info.run_id)
         made = self._client.create_run(self._experiment, tags={_TAG: source.key}, run_name=source.name)
-        params = [Param(name, str(value)) for name, value in source.settings.items()]
+        params = [Param(_accepted(name), str(value)) for name, value in source.settings.items()]
         for first in range(0, len(params), _MOST_PARAMS):
             self._client.log_batch(made.info.run_id, params=params[first : first + _MOST_PARAMS])
         return str(made.info.run_id)
+
+
+def _accepted(name: str) -> str:
+    """Return a name with `_` in place of what MLflow refuses in one: it may become the path of a file."""
+    parts = re.sub(r"[^\w/. :-]", "_", name).split("/")
+    return "/".join("_" if part in ("", ".", "..") else part for part in parts)

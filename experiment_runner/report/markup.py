@@ -97,7 +97,7 @@ LATEX: Final = Markup(
 """LaTeX, with the package booktabs."""
 
 MARKDOWN: Final = Markup(
-    lambda text: re.sub(r"([\\|`*_<>])", r"\\\1", text),
+    lambda text: re.sub(r"([\\|`*_<>\[\]])", r"\\\1", text),
     lambda number: _MINUS.sub("\N{MINUS SIGN}", number),
     _markdown,
 )

@@ -37,14 +37,17 @@ def unpack_metrics(body: Observation) -> dict[str, float]:
     Raises:
         PeerFailed: the names do not match the numbers, or exceed the limits.
     """
-    names = tuple(body.chars.decode(errors="replace").split("\n")) if body.chars else ()
-    values = body.doubles.tolist()
+    values = body.doubles
+    count = body.chars.count(b"\n") + 1 if body.chars else 0
     try:
+        if not len(values) == count <= MAX_METRICS:  # before 16 million names are split
+            raise ValueError
+        names = tuple(body.chars.decode(errors="replace").split("\n")) if count else ()
         _check_names(names)
-        return dict(zip(names, values, strict=True))
+        return dict(zip(names, values.tolist(), strict=True))
     except ValueError:
         raise PeerFailed(
-            f"the agent's metrics have {len(values)} numbers and {len(names)} names; each number has a name "
+            f"the agent's metrics have {len(values)} numbers and {count} names; each number has a name "
             f"of its own, of 1 to {MAX_METRIC_NAME} characters, and there are at most {MAX_METRICS}"
         ) from None
 

@@ -25,7 +25,7 @@ from typing import Any, Final
 from glue.console import did_you_mean
 from glue.errors import ConfigError
 from glue.hub.config import Keys, Permit, check_session
-from glue.keys.certificates import PUBLIC, SECRET, KeyPair, read_pair, read_public
+from glue.keys.certificates import PUBLIC, SECRET, KeyPair, decode, read_pair, read_public
 from glue.keys.files import check_directory, read_own
 from glue.wire.messages import Role
 
@@ -154,4 +154,11 @@ def _key(directory: Path, name: str, table: Mapping[str, Any]) -> bytes:
     if not isinstance(given, str):
         raise ConfigError(f"key should be the name of a file or a key, not {given!r:.60}")
     path = directory / given
-    return read_public(path if path.is_file() else given, "key")
+    if path.is_file():
+        return read_public(path, "key")
+    try:
+        return decode(given)  # never a file of that name elsewhere, such as where the hub was started
+    except ValueError:
+        raise ConfigError(
+            f"key: {given!r:.120} is neither a file in {directory} nor a key of 40 characters"
+        ) from None

@@ -274,6 +274,7 @@ class StepReader:
         # A number of a single byte has no fixed first byte to compare.
         if (
             kind is self._kind
+            and len(scalars) == form.num_scalars  # more, if the agent is told its time
             and 2**_MAX_FIXED <= seq <= form.max_seq
             and form.head(seq, scalars, 0)[_HEAD:-_HEAD] == header
         ):

@@ -128,6 +128,18 @@ final class VectorsTest {
         expect(extras.extras().equals(Map.of("coins", 3L)), "coins");
     }
 
+    /** -2^63 is its own absolute value. */
+    private static void reals() {
+        expect(new Unpacker(HEX.parseHex("d3ffe0000000000000"), "it").real() == -0x1p53, "-2^53");
+        try {
+            new Unpacker(HEX.parseHex("d38000000000000000"), "it").real();
+        } catch (GlueException.Protocol error) {
+            checked++;
+            return;
+        }
+        throw new AssertionError("accepted: -2^63 as a float");
+    }
+
     private static void masks() {
         Observation runs = new Observation(7);
         Masks masks = new Masks(
@@ -250,6 +262,7 @@ final class VectorsTest {
         }
         beside();
         masks();
+        reals();
         Map<String, Object> zmtp = map(vectors.get("zmtp"));
         expect(HEX.formatHex(FrameReader.greeting()).equals(zmtp.get("greeting")), "greeting");
         expect(HEX.formatHex(FrameReader.ready()).equals(zmtp.get("ready")), "ready");

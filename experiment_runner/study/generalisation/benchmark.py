@@ -141,7 +141,7 @@ def benchmark_of(directory: Path) -> Benchmark:
             raise ValueError("its sets of levels are of another version")
         lists = ("agent_options", "sets", "seeds", "questions")
         return Benchmark(**{**fields, **{name: tuple(fields[name]) for name in lists}})
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{directory} is not a run of glue-generalise: {error}") from None
 
 
@@ -161,11 +161,11 @@ def read_scores(path: Path) -> Document:
             text = file.read(_MOST_BYTES + 1)
         if len(text) > _MOST_BYTES:
             raise ValueError(f"it is longer than {_MOST_BYTES} bytes")
-        scores: Document = json.loads(text)
+        scores: Any = json.loads(text)
         names = ("name", "trials")
-        if not all(name in scores for name in names):
+        if not isinstance(scores, dict) or not all(name in scores for name in names):
             raise ValueError(f"it has no {' or '.join(names)}")
-    except (OSError, EOFError, zlib.error, ValueError) as error:
+    except (OSError, EOFError, zlib.error, ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not a result of glue-generalise: {error}") from None
     return scores
 

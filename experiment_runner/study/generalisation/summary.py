@@ -57,19 +57,24 @@ def table(documents: Sequence[Document], solvable: Set[int] = frozenset(), *, pl
         plain: for a terminal; otherwise in Markdown.
 
     Raises:
-        ConfigError: some have scores for each difficulty, and others do not.
+        ConfigError: some have scores for each difficulty, and others do not; or fields are missing, or of
+            another type.
     """
     kinds = {bool(document.get("sets")) for document in documents}
     if len(kinds) > 1:
         raise ConfigError(
             "scores of each difficulty and scores of two sets have different tables: show them apart"
         )
-    if True in kinds:
-        messages = list(documents[0]["questions"])
-        rows = [row for document in documents for row in _by_difficulty(document, messages, solvable)]
-        head = [*_HEAD_BY_DIFFICULTY, "ms per step", *messages, *(["goal, if solvable"] if solvable else [])]
-    else:
-        head, rows = list(_HEAD), list(map(_gap_row, documents))
+    try:
+        if True in kinds:
+            messages = list(documents[0]["questions"])
+            rows = [row for document in documents for row in _by_difficulty(document, messages, solvable)]
+            solved = ["goal, if solvable"] if solvable else []
+            head = [*_HEAD_BY_DIFFICULTY, "ms per step", *messages, *solved]
+        else:
+            head, rows = list(_HEAD), list(map(_gap_row, documents))
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise ConfigError(f"these are not scores of glue-generalise: {error!r:.200}") from None
     if plain:
         return format_table(head, rows, width=terminal_width())
     return markdown_table(head, rows, texts=2 if True in kinds else 1)

@@ -23,16 +23,19 @@ _MOST_ACTIONS: Final = 100_000
 
 
 def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]:
-    """Play the actions of every score again; yield a description of each score that is not what they earn.
+    """Play the actions of every score again; yield a description of each score that is not what they earn, or
+    that is there more than once.
 
     Args:
         document: scores that may come from anybody.
-        say: receives the number of scores that were replayed, at the end.
+        say: receives the number of levels without an episode, if there are any, and at the end the number of
+            scores that were replayed.
 
     Raises:
         ConfigError: the document is not of these sets, or its fields are missing or of another type.
     """
     replayed = 0
+    seen: set[tuple[str, int, int]] = set()
     try:
         noise, attempt = float(document.get("noise", 0.0)), int(document["relearn"])
         columns = {name: name for name in document["sets"]}
@@ -42,9 +45,16 @@ def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]
                 raise ConfigError(f"these scores are of other sets of levels than version {VERSION}")
             for column, name in columns.items():
                 levels, numbers = level_set(str(name)), {number for _, number in scored_levels(str(name))}
+                missing = len(numbers - {score["level"] for score in trial[column] if score["actions"]})
+                if missing:
+                    say(f"{missing} of {len(numbers)} levels of {name} have no episode, seed {trial['seed']}")
                 for score in trial[column]:
                     if int(score["level"]) not in numbers:
                         raise ConfigError(f"level {score['level']} is not one of {name}")
+                    one = column, int(trial["seed"]), int(score["level"])
+                    if one in seen:
+                        yield f"{name}, level {one[2]}, seed {one[1]}: it is there more than once"
+                    seen.add(one)
                     wrong = _difference(
                         score, levels, Noise(noise, int(trial["seed"]), score["level"], attempt)
                     )
@@ -59,14 +69,19 @@ def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]
 def _difference(score: dict[str, Any], levels: LevelSet | LevelFolder, noise: Noise) -> str:
     """Return in words how a score differs from a replay of its actions; empty if it does not."""
     actions = str(score["actions"])
-    if not actions:
-        return "" if not score["goal"] and score.get("sims") else "its actions are not recorded"
+    if not actions and not score.get("sims"):
+        return "its actions are not recorded"
     if len(actions) > _MOST_ACTIONS or not set(actions) <= ACTIONS.keys():
         return "its actions are not those of Infinite Mario"
-    found = replay(levels, int(score["level"]), actions, noise)
-    said = {"steps": len(actions), "goal": score["goal"], "episode_return": score["episode_return"]}
+    number = int(score["level"])
+    earned, ended = _played(levels, number, actions, noise)
+    if len(actions) != earned["steps"] or (actions and not ended):
+        return (
+            f"its {len(actions)} actions are not those of an episode, of which {earned['steps']} were played"
+        )
+    found = {"difficulty": levels.difficulty(number), **earned}
     return "; ".join(
-        f"{name} is {said[name]}, replayed {found[name]}" for name in found if said[name] != found[name]
+        f"{name} is {score[name]}, replayed {found[name]}" for name in found if score[name] != found[name]
     )
 
 
@@ -74,9 +89,16 @@ def replay(
     levels: LevelSet | LevelFolder, number: int, actions: str, noise: Noise | None = None
 ) -> dict[str, Any]:
     """Return the outcome of actions, given by their digits, on a level, up to the end of the episode."""
+    return _played(levels, number, actions, noise)[0]
+
+
+def _played(
+    levels: LevelSet | LevelFolder, number: int, actions: str, noise: Noise | None
+) -> tuple[dict[str, Any], bool]:
+    """Return the outcome of actions, and whether the episode has ended."""
     game = Game(levels.level(_TASK, number))
     game.start()
-    earned, steps = 0.0, 0
+    earned, steps, ended = 0.0, 0, False
     for digit in actions:
         action = ACTIONS[digit]
         reward, _, ended = game.step(*InfiniteMario.buttons_of(noise(action) if noise else action))
@@ -84,7 +106,7 @@ def replay(
         steps += 1
         if ended:
             break
-    return {"steps": steps, "goal": is_won(game), "episode_return": earned}
+    return {"steps": steps, "goal": is_won(game), "episode_return": earned}, bool(ended)
 
 
 def solvable(document: Document) -> set[int]:

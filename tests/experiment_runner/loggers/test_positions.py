@@ -115,3 +115,19 @@ def test_the_last_episode_ends_its_trial_also_if_it_is_recorded_meanwhile(
             monkeypatch.setattr(results, "trials", lambda seen=before: [seen])
             assert list(_send(results, written, sent, sent.episodes)) == [trial.spec.id]
     assert written.calls == [([1, 2, 3, 4, 5, 6], False), ([7, 8, 9], True)]
+
+
+@pytest.mark.parametrize(
+    ("name", "accepted"),
+    [
+        ("agent/mean TD error", "agent/mean TD error"),
+        ("agent/loss (clip)", "agent/loss _clip_"),
+        ("agent//x/../y", "agent/_/x/_/y"),
+    ],
+)
+def test_a_metric_has_a_name_that_mlflow_accepts(name: str, accepted: str) -> None:
+    validation = pytest.importorskip("mlflow.utils.validation")
+    from experiment_runner.loggers.mlflow import _accepted
+
+    assert _accepted(name) == accepted
+    validation._validate_metric_name(accepted)

@@ -145,6 +145,7 @@ def test_paper_table_has_agents_in_rows_and_environments_in_columns(tmp_path: Pa
     assert markdown.splitlines()[2].startswith("| sarsa epsilon=0.1 | \N{MINUS SIGN}0.50 [")
     assert markdown.splitlines()[-1] == f"{mean} {few}"
     assert (LATEX.text("a|&"), MARKDOWN.text("a|&")) == (r"a|\&", r"a\|&")
+    assert MARKDOWN.text("![a](b)") == r"!\[a\](b)"
     with pytest.raises(ExperimentError, match="nothing to show"):
         paper_table([], "episodes", LATEX)
 

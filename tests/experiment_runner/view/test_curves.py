@@ -171,6 +171,12 @@ def test_what_there_is_not_is_an_error_for_people(shown: tuple[Inside, Path, str
     assert page.ask(f"/api/standings/{run_id}").status == 422
 
 
+@pytest.mark.parametrize("query", ["&from=1e999", "&to=-inf", "&over=steps&from=inf"])
+def test_a_part_beyond_all_curves_is_empty(shown: tuple[Inside, Path, str], query: str) -> None:
+    page, _, run_id = shown
+    assert page.ask(f"/api/curves?run={run_id}{query}").json()["curves"] == []
+
+
 def test_no_two_of_forty_lines_look_the_same() -> None:
     lines = [Line([0, 1], [number, number + 1]) for number in range(42)]
     drawing = draw(lines, ("x", "y"))["svg"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from typing import Any
 
 import pytest
@@ -78,6 +79,17 @@ def test_a_body_whose_names_do_not_fit_is_refused(body: Observation) -> None:
     numbers = body.doubles.size
     with pytest.raises(PeerFailed, match=f"the agent's metrics have {numbers} numbers and "):
         unpack_metrics(body)
+
+
+def test_too_many_names_are_counted_before_they_are_split() -> None:
+    body = Observation([], [1.0] * MAX_METRICS, b"\n" * 2**20)
+    tracemalloc.start()
+    try:
+        with pytest.raises(PeerFailed, match="1000 numbers and 1048577 names"):
+            unpack_metrics(body)
+        assert tracemalloc.get_traced_memory()[1] < 2**22
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_name_that_is_not_text_is_shown_with_a_mark() -> None:

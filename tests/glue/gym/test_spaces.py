@@ -187,6 +187,7 @@ def test_task_specs_without_a_layout_have_plain_spaces(text: str, expected: Any)
     ["", "{", "[]", '{"observation":{"Box":[[2],"object"]},"action":{}}', '{"observation":7}', "[" * 5000]
     + [f'{{"observation":{part},"action":{{"Discrete":"int64"}}}}' for part in (
         '{"Box":[[-1],"float32"]}', '{"Box":[[4000000000],"float32"]}', '{"Discrete":"float32"}',
+        '{"Dict":[1]}', f'{{"Box":[[{10**30}],"int64"]}}',
         '{"MultiDiscrete":[[7],"int64"]}', '{"Dict":{}}', '{"Text":[3]}', '{"MultiBinary":[[true],"int8"]}',
         f'{{"Box":[[{10**30}],"float32"]}}', '{"Discrete":"int8"}', '{"Box":[[1],"int8"]}',
         '{"MultiDiscrete":[[1],"int8"]}',

@@ -82,7 +82,7 @@ def test_what_a_key_may_be_is_never_read_from_the_file_that_its_owner_sent(folde
         ('[carol]\nrole = "agent"\nsession = []', "may join no session"),
         ('[carol]\nrole = "agent"\nsession = ""', "the name of a session"),
         ('[carol]\nrole = "agent"\nkey = 1', "key should be"),
-        ('[carol]\nrole = "agent"\nkey = "nowhere.pub"', "neither a file nor a key"),
+        ('[carol]\nrole = "agent"\nkey = "nowhere.pub"', "neither a file in .* nor a key"),
         ('[nobody]\nrole = "agent"', r"has no key: put the file that its owner sent there, as .*nobody\.key"),
         ('["a\\u0000b"]\nrole = "agent"', r"\[a.b\] has no key"),
         ('[carol]\nrole = "agent"\n[c]\nkey = "carol.key"\nrole = "agent"', "carol and c have the same key"),
@@ -92,6 +92,18 @@ def test_a_mistake_in_the_list_names_file_and_table(folder: KeyFolder, text: str
     folder.entrant("carol")
     folder.allow(text)
     assert str(folder.path / "allow.toml") in str(refused(folder, what))
+
+
+def test_a_key_is_read_from_no_file_beside_the_directory(
+    folder: KeyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder.entrant("carol")
+    folder.allow('[carol]\nrole = "agent"\nkey = "carol.pub"')
+    elsewhere = folder.path.with_name("elsewhere")
+    elsewhere.mkdir(mode=0o700)
+    (folder.path / "carol.key").rename(elsewhere / "carol.pub")  # the key is withdrawn
+    monkeypatch.chdir(elsewhere)
+    refused(folder, "neither a file in")
 
 
 @pytest.mark.parametrize(

@@ -173,6 +173,7 @@ ODDITIES = [
         "ping",
     ),
     "flags",
+    "paced",
 ]
 NUMBERS = [0, 1, 120, 127, 128, 250, 256, 2**16 - 2, 2**16, 2**32 - 2, 2**32, 2**63 - 20]
 SHAPES: list[Size] = [
@@ -243,6 +244,9 @@ def sent(random: Random, line: Line, kind: Kind) -> Iterator[bytes]:
                 yield line.encoded(random, frames)
             case "ping":
                 yield line.encoded(random, [PING], COMMAND)
+            case "paced" if kind is Kind.AGENT_STEP and line.from_hub:
+                told = message._replace(scalars=(*message.scalars, 0.5, 0.25))
+                frames = [encode(told, shapes)[0], body]
             case "flags":
                 first = random.choice([b"", header])
                 yield line.encoded(random, [first], random.choice([0, MORE]))
@@ -353,6 +357,8 @@ def test_what_differs_in_one_place_from_a_learned_step_is_read_alike(
         (b"".join(usual), body) for body in bodies
     ]
     if from_hub:
+        paced = Message(Kind.AGENT_STEP, "s", 300, (1.0, 0.5, 0.25), body)
+        different.append((encode(paced, FROM_HUB)[0], body))
         observed = Message(Kind.OBSERVED_STEP, "s", 300, (1, 2, 0.5, 0.5, False), 2 * body)
         header, two_bodies = encode(observed, FROM_HUB)
         different.append((header, two_bodies))

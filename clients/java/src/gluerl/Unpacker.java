@@ -105,7 +105,7 @@ final class Unpacker {
             fail("a float", tag);
         }
         long value = anyInteger(tag);
-        if (Math.abs(value) > MAX_EXACT || (tag == 0xcf && value < 0)) {
+        if (value > MAX_EXACT || value < -MAX_EXACT || (tag == 0xcf && value < 0)) {
             throw wrong("has a float that is an integer beyond 2^53");
         }
         return value;
