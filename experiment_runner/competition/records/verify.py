@@ -43,6 +43,13 @@ class Mismatch(ExperimentError):
     """A record and its replay, or the database, do not agree."""
 
 
+def not_installed(results: Results) -> list[str]:
+    """Return the environments of a run, and opponents in them, that `verify` plays only if allowed."""
+    environments = (record.spec.environment for record in results.trials())
+    named = {name for one in environments if one is not None for name in players_of(one)}
+    return sorted(name for name in named if not is_installed(name))
+
+
 def verify(
     store: Store, steps: Mapping[str, int], say: Callable[[str], None], environments: Iterable[str] = ()
 ) -> int:
@@ -63,10 +70,8 @@ def verify(
         StorageError: the run cannot be written to.
     """
     given = {without_place(name): name for name in environments}
-    trials = [record.spec for record in store.trials()]
-    named = {name for spec in trials if spec.environment for name in players_of(spec.environment)}
-    known = {**given, **{name: name for name in named if is_installed(name)}}
-    specs = [_played_by(known, spec) for spec in trials]
+    foreign = not_installed(store)
+    specs = [_played_by(given, foreign, record.spec) for record in store.trials()]
     for spec in specs:
         if spec.id.parts[1] not in steps:
             raise ExperimentError(f"{spec.id!s:.80} is of a task that {COMPETITION_FILE} does not have")
@@ -86,13 +91,13 @@ def verify(
     return problems
 
 
-def _played_by(known: Mapping[str, str], spec: TrialSpec) -> TrialSpec:
-    """Return a trial of the environment that is to be played by its name, or its file's name."""
+def _played_by(given: Mapping[str, str], foreign: Sequence[str], spec: TrialSpec) -> TrialSpec:
+    """Return a trial of the environment that is to be played: its own, or the one given for a foreign one."""
     if (environment := spec.environment) is None:
         return spec
     name, *opponents = players_of(environment)
-    found = known.get(name, known.get(without_place(name)))
-    unknown = [one for one in opponents if one not in known.values()]
+    found = given.get(without_place(name)) if name in foreign else name
+    unknown = [one for one in opponents if one in foreign and one not in given.values()]
     if found is None or unknown:
         what = one_line(name if found is None else unknown[0])
         raise ConfigError(

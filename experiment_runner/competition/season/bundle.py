@@ -11,8 +11,8 @@ from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.copies import copies
 from experiment_runner.competition.records.record import record_path
 from experiment_runner.competition.records.seal import check_seal
+from experiment_runner.competition.records.verify import not_installed
 from experiment_runner.competition.season.forms import boards_as_json
-from experiment_runner.plan.user_files import players_of
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import (
     ABOUT_FILE,
@@ -27,7 +27,6 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 from glue.files import read_regular
-from glue.plugins.loading import is_installed
 
 _FILES: Final = (COMPETITION_FILE, ABOUT_FILE, JOURNAL_FILE, SEAL_FILE)
 _MOST_BYTES: Final = 2**32
@@ -64,8 +63,7 @@ def bundle(directory: Path, out: Path) -> list[str]:
                 write_flushed(folder / name, content)
             store.copy_to(folder)
         lock.release()
-    named = {name for one in environments for name in players_of(one)}
-    return sorted(name for name in named if not is_installed(name))
+        return not_installed(store)
 
 
 def board_differs(results: Results) -> bool:

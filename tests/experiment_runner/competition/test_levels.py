@@ -28,6 +28,7 @@ from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError
 from glue.trajectory import ActionWriter, Ending, Run
 from glue.types import Action, step_of
+from tests.experiment_runner.competition.contest import compete
 
 SECRET = b"hush"
 STAY = Action([0, 0, 0])
@@ -140,7 +141,10 @@ def test_no_code_is_loaded_because_a_run_names_it(folder: Path) -> None:
     ) as store:
         for record in store.trials():
             play(store, record.spec, Action([0]))
-    assert bundle(folder / "run", folder / "bundle") == [f"{folder}/world.py:World"]
+    (folder / "spring.toml").write_text(text)
+    told = compete(folder, "run", "spring.toml", "--out", "run", secret=SECRET.decode())
+    assert f"now: glue-compete verify run --env {folder}/world.py:World\n" in told
+    assert "glue-compete verify bundle --env world.py:World\n" in compete(folder, "bundle", "run", "bundle")
     (folder / "world.py").write_text(f"open({str(folder / 'loaded')!r}, 'w')\n{code}")
     (folder / "copy").mkdir()
     (folder / "copy" / "world.py").write_text(code)
