@@ -133,7 +133,9 @@ def _search(
         scores += zip(batch, found, strict=True)
     finished = [(one, score.value) for one, score in scores if not score.pruned and score.value > -math.inf]
     if not finished:
-        raise ExperimentError(f"every configuration of {sweep.label} has failed: see {store.directory}")
+        raise ExperimentError(
+            f"every configuration of {sweep.label} has failed, or ended no episode: see {store.directory}"
+        )
     best, score = max(finished, key=lambda pair: pair[1])
     shown = " ".join(f"{name}={plain(value)}" for name, value in best.items())
     done = [trial for trial in store.trials() if trial.spec.id.startswith(f"{sweep.label}/")]
