@@ -209,7 +209,8 @@ def compare(a: FloatArray, b: FloatArray, rng: np.random.Generator) -> Compariso
     chosen = rng.integers(len(a), size=(_RESAMPLES, len(a)))
     resampled = interquartile_mean(a[chosen], axis=1) - interquartile_mean(b[chosen], axis=1)
     difference = float(interquartile_mean(a) - interquartile_mean(b))
-    better = (np.sign(a[:, None] - b[None, :]) + 1) / 2
+    ties = a[:, None] == b[None, :]  # of infinite values, too, whose difference is NaN
+    better = (np.sign(np.where(ties, 0.0, a[:, None] - b[None, :])) + 1) / 2
     among = np.array([better[np.ix_(one, one)].mean() for one in chosen])
     return Comparison(_estimate(difference, resampled), _estimate(float(better.mean()), among), len(a))
 

@@ -124,6 +124,8 @@ def carry_out(
         if left and not remaining(store):
             _finish(store, plan, progress.say)
         addresses.close()  # a player that joins from now on would not be served
+        if not holds_run(directory):
+            raise ExperimentError(f"{directory} was moved or removed during the run, and its results with it")
         seconds = time.monotonic() - began
         if isinstance(progress, JsonLines):
             progress.write(summarize(store, seconds))
