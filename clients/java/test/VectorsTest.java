@@ -139,6 +139,8 @@ final class VectorsTest {
         doesNotSend("a short mask", () -> masks.checked("step", runs.withMask(true, true, true, true, true, true, true)));
         doesNotSend("one value more", () -> new Masks("ACTIONS INTS (0 1) (0 1) REWARDS")
                 .checked("step", runs.withMask(true, false, true, false, true)));
+        doesNotSend("a mask for 20000 ints", () -> new Masks("ACTIONS INTS" + " (0 1)".repeat(20_000) + " REWARDS")
+                .checked("step", runs.withMask(true)));
         for (String unknown : new String[] {"ACTIONS INTS (0 UNSPEC) REWARDS", "a mirror", "ACTIONS REWARDS EXTRA INTS (0 1)"}) {
             new Masks(unknown).checked("step", runs.withMask(false));
         }
