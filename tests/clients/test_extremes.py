@@ -1,4 +1,4 @@
-"""Numbers at the ends of their ranges, from a hub and from whoever writes an experiment."""
+"""What is beyond its range, from a hub and from whoever writes or starts a program."""
 
 from __future__ import annotations
 
@@ -46,3 +46,12 @@ def test_silent_hub_whose_times_are_no_numbers_is_given_up(language: Language) -
                 first.sendall(zmtp.GREETING + READY + zmtp.encode(encode(welcome, FROM_HUB)))
                 again, _ = server.accept()
                 again.close()
+
+
+@pytest.mark.parametrize("language", LANGUAGES, ids=lambda language: language.name)
+def test_path_too_long_for_a_socket_is_an_error(language: Language) -> None:
+    """No hub can ever listen there, so nobody waits for one."""
+    language.ready()
+    done = run(language.programs["random"], language.folder, SECONDS, 1, GLUE_HUB=f"ipc:///{'x' * 107}")
+
+    assert f"the path of a Unix socket has at most 107 bytes, and /{'x' * 107} has 108" in done.stderr

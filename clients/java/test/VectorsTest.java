@@ -125,6 +125,8 @@ final class VectorsTest {
         expect(Arrays.equals(Observation.cut(all, false, true), extras.body()), "extras");
         expect(Arrays.equals(Observation.cut(all, false, false), runs.body()), "neither");
         expect(mask.legal(1) && !mask.legal(0) && !mask.legal(3) && !mask.legal(8) && runs.legal(9), "legal");
+        Observation last = runs.withMask(false, false, false, false, false, false, false, true);
+        expect(!last.legal(-1) && !last.legal(-9), "values below the first");
         expect(extras.extras().equals(Map.of("coins", 3L)), "coins");
     }
 
