@@ -18,7 +18,6 @@ from glue.console import for_terminal, say
 from glue.errors import ConfigError
 from glue.wire.messages import THREE_ROLES, Role
 
-_FAILED: Final = 1
 _HUB: Final = "hub"
 
 
@@ -127,4 +126,4 @@ def conform(
     if card is not None:
         card.write_text(scorecard(role, command, verdicts), encoding="utf-8")
         say(f"wrote {card}")
-    return 0 if all(reached(verdicts).values()) else _FAILED
+    return 0 if all(reached(verdicts).values()) else 1

@@ -277,7 +277,7 @@ class RemoteExperiment(Experiment):
         code, text = (one_line(str(scalar)) for scalar in message.scalars)
         if code in (ErrorCode.PEER_LOST, ErrorCode.PEER_FAILED):
             self._loss = None
-        return _ERRORS.get(code, LocalProtocolError)(text)
+        return ERRORS.get(code, LocalProtocolError)(text)
 
 
 _EVENTS: Final = frozenset(Event)
@@ -301,8 +301,9 @@ _DEPENDENT: Final = frozenset(
 )
 """Verbs that succeed with a player that has replaced another, but then mean something else."""
 
-_ERRORS: Final[Mapping[str, type[GlueError]]] = {
+ERRORS: Final[Mapping[str, type[GlueError]]] = {
     ErrorCode.PEER_LOST: PeerLost,
     ErrorCode.PEER_FAILED: PeerFailed,
     ErrorCode.UNSUPPORTED: Unsupported,
 }
+"""The exceptions for the codes of an ERROR, which an experiment may expect of its players."""

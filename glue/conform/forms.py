@@ -171,10 +171,7 @@ def rewards() -> Iterator[tuple[float, bytes]]:
     yield 1.0, float_64(1.0)
     for value in (0.5, -0.0, float("inf")):
         yield value, b"\xca" + struct.pack(">f", value)
-    yield 1.0, b"\x01"
-    yield 127.0, b"\x7f"
-    yield -1.0, b"\xff"
-    yield -32.0, b"\xe0"
+    yield from ((1.0, b"\x01"), (127.0, b"\x7f"), (-1.0, b"\xff"), (-32.0, b"\xe0"))
     for whole in (200, -100, 40_000, -30_000, 3_000_000_000, -2_000_000_000, 2**53, -(2**53)):
         for data in fitting(whole):
             yield float(whole), data
@@ -182,10 +179,7 @@ def rewards() -> Iterator[tuple[float, bytes]]:
 
 def truths() -> Iterator[tuple[bool, bytes]]:
     """Yield truth values, each as an integer; 2 is left out, as it may mean that an episode was cut off."""
-    yield False, b"\x00"
-    yield True, b"\x01"
-    yield True, b"\x03"
-    yield True, b"\xff"
+    yield from ((False, b"\x00"), (True, b"\x01"), (True, b"\x03"), (True, b"\xff"))
     for whole in (0, 1, 100, -100):
         for data in fitting(whole):
             yield whole != 0, data

@@ -149,11 +149,7 @@ class Verdict:
         """Return the verdict that the rule is broken."""
         frames = tuple(bytes(frame).hex(" ") for frame in broken.frames)
         return replace(
-            self,
-            outcome=Outcome.FAILED,
-            expected=broken.expected,
-            received=broken.received,
-            frames=frames,
+            self, outcome=Outcome.FAILED, expected=broken.expected, received=broken.received, frames=frames
         )
 
     def not_judged(self, why: str) -> Verdict:

@@ -28,17 +28,13 @@ LAST: Final = Rules(THREE_ROLES)
 @FIRST.add(Tier.PLAYS, "appendix-zeromq-without-libzmq")
 def handshake(kit: Harness) -> None:
     """ZMTP's handshake, as a DEALER; no message before the hub's READY."""
-    kit.drop()
-    kit.start()
-    kit.connect(hold=kit.quiet)
+    kit.start(hold=kit.quiet)
 
 
 @FIRST.add(Tier.PLAYS, "greeting")
 def hello(kit: Harness) -> None:
     """HELLO comes first, with its role and 16 bytes of instance; then the client waits for WELCOME."""
-    kit.drop()
-    kit.start()
-    greeted = kit.connect()
+    greeted = kit.start()
     versions, role, instance, name, codec, _ = greeted.scalars
     frames = encode(greeted, TO_HUB)
     if not isinstance(versions, tuple) or PROTOCOL_VERSION not in versions:
@@ -97,10 +93,9 @@ def reasons(kit: Harness) -> None:
 def _said_goodbye(kit: Harness, reason: str) -> int:
     """Say GOODBYE to the client, and return its exit code."""
     kit.send(Kind.GOODBYE, reason)
-    try:
+    frames = None
+    with suppress(Gone):
         frames = kit.heard(kit.wait)  # A HEARTBEAT may have been sent before GOODBYE was read.
-    except Gone:
-        frames = None
     if frames is not None:
         raise Broken("nothing after GOODBYE", described(kit.decoded(frames)), frames)
     kit.cut()
@@ -109,9 +104,7 @@ def _said_goodbye(kit: Harness, reason: str) -> int:
 
 def _refused(kit: Harness, reason: str) -> int:
     """Refuse a new client, and return its exit code."""
-    kit.drop()
-    kit.start()
-    greeted = kit.connect()
+    greeted = kit.start()
     kit.send(Kind.REFUSE, ErrorCode.FULL, reason, seq=greeted.seq)
     kit.connection.ends(kit.wait)
     kit.cut()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from typing import Final
@@ -61,14 +61,12 @@ def metrics(kit: ExperimentHarness) -> None:
     )
 
 
-def _shows(*shown: AbstractType) -> list[Order]:
-    """Return orders whose replies carry `shown`, as observations and as actions."""
-    orders = []
+def _shows(*shown: AbstractType) -> Iterator[Order]:
+    """Yield orders whose replies carry `shown`, as observations and as actions."""
     for each in shown:
-        orders.append(Order("RL_ENV_START", body=each.body))
-        orders.append(Order("RL_STEP", scalars=(0.5, False), body=each.body + DONE.body))
-        orders.append(Order("RL_START", body=SEEN.body + each.body))
-    return orders
+        yield Order("RL_ENV_START", body=each.body)
+        yield Order("RL_STEP", scalars=(0.5, False), body=each.body + DONE.body)
+        yield Order("RL_START", body=SEEN.body + each.body)
 
 
 @RULES.add(Tier.PLAYS, "bodies")
@@ -292,15 +290,13 @@ def extras(kit: ExperimentHarness) -> None:
     kit.do(*_seen(*forms.WITH_EXTRAS))
 
 
-def _seen(*observations: Observation) -> list[Order]:
-    """Return orders whose replies carry observations, alone and before an action."""
-    orders = []
+def _seen(*observations: Observation) -> Iterator[Order]:
+    """Yield orders whose replies carry observations, alone and before an action."""
     for each in observations:
-        orders.append(Order("RL_ENV_START", body=each.body))
-        orders.append(Order("RL_ENV_STEP", b"xyz", DONE, scalars=(2.5, False), body=each.body))
-        orders.append(Order("RL_START", body=each.body + DONE.body))
-        orders.append(Order("RL_STEP", scalars=(0.5, True), body=each.body + DONE.body))
-    return orders
+        yield Order("RL_ENV_START", body=each.body)
+        yield Order("RL_ENV_STEP", b"xyz", DONE, scalars=(2.5, False), body=each.body)
+        yield Order("RL_START", body=each.body + DONE.body)
+        yield Order("RL_STEP", scalars=(0.5, True), body=each.body + DONE.body)
 
 
 def _cut_off(kit: ExperimentHarness, order: Order) -> None:

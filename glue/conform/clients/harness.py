@@ -117,18 +117,21 @@ class Harness(ABC):
 
     def fresh(self, session: str | None = None) -> None:
         """Replace the client with a new one, and welcome it."""
-        self.drop()
         self.start(session)
-        self.connect()
         self.welcome(resumed=False)
         self.begin()
 
-    def start(self, session: str | None = None) -> None:
-        """Start a client in a session, by default with a new name."""
+    def start(self, session: str | None = None, hold: float = 0.0) -> Message:
+        """Replace the client with a new one in a session, by default with a new name; return its HELLO.
+
+        `hold` as for `connect`.
+        """
+        self.drop()
         while (left := self.listener.accept(0)) is not None:
             left.close()  # of an earlier client
         self.session = f"conform-{chance.random_bytes(4).hex()}" if session is None else session
         self._client = self._start(self.listener.url, self.session)
+        return self.connect(hold)
 
     def abandon(self) -> None:
         """Kill the client, whose state is unknown."""

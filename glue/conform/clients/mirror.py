@@ -13,14 +13,14 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from glue.client.experiment import connect
+from glue.client.experiment import ERRORS, connect
 from glue.client.players import serve_agent, serve_environment
 from glue.client.target import find_target
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, PeerFailed, PeerLost, Unsupported
 from glue.roles import Agent, Environment
 from glue.types import CUT_OFF, AbstractType, Action, Observation, Step
-from glue.wire.messages import THREE_ROLES, ErrorCode, Event, Role
+from glue.wire.messages import THREE_ROLES, Event, Role
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -50,6 +50,9 @@ class _Mirror:
         if message == FAIL:
             raise RuntimeError(FAILURE)
         return message
+
+    def reseed(self, seed: int) -> None:
+        self.seed = seed
 
     def save(self) -> bytes:
         return f"{self.count} {self.seed}".encode()
@@ -88,17 +91,10 @@ class MirrorAgent(_Mirror, Agent):
     def agent_end(self, reward: float) -> None:
         self.count += 1
 
-    def agent_message(self, message: str) -> str:
-        return self.message(message)
-
-    def agent_save(self) -> bytes:
-        return self.save()
-
-    def agent_load(self, saved: bytes) -> None:
-        self.load(saved)
-
-    def agent_seed(self, seed: int) -> None:
-        self.seed = seed
+    agent_message = _Mirror.message
+    agent_seed = _Mirror.reseed
+    agent_save = _Mirror.save
+    agent_load = _Mirror.load
 
     def agent_metrics(self) -> dict[str, float]:
         return {"count": float(self.count), "half the count": self.count / 2}
@@ -139,17 +135,10 @@ class MirrorEnvironment(_Mirror, Environment):
             },
         }
 
-    def env_message(self, message: str) -> str:
-        return self.message(message)
-
-    def env_save(self) -> bytes:
-        return self.save()
-
-    def env_load(self, saved: bytes) -> None:
-        self.load(saved)
-
-    def env_seed(self, seed: int) -> None:
-        self.seed = seed
+    env_message = _Mirror.message
+    env_seed = _Mirror.reseed
+    env_save = _Mirror.save
+    env_load = _Mirror.load
 
 
 def shown(value: AbstractType) -> tuple[list[int], list[float], bytes]:
@@ -197,11 +186,7 @@ def play(glue: Experiment, notices: list[str]) -> None:
             shown = result(chars=f"ERROR {_CODES[type(error)]} {error}".encode())
 
 
-_CODES: Final[dict[type[GlueError], str]] = {
-    PeerLost: ErrorCode.PEER_LOST,
-    PeerFailed: ErrorCode.PEER_FAILED,
-    Unsupported: ErrorCode.UNSUPPORTED,
-}
+_CODES: Final = {error: code for code, error in ERRORS.items()}
 
 
 def carry_out(

@@ -56,8 +56,7 @@ def heartbeat(scene: Scene) -> None:
 def calls(scene: Scene) -> None:
     """A request calls the players in RL-Glue's order and passes everything on unchanged."""
     # Every request that reaches the players, in the middle of episodes and between them.
-    scene.init()
-    scene.start()
+    scene.begin()
     scene.step(1)
     scene.step(2, terminal=True)
     scene.start()  # The episode is abandoned without AGENT_END.
@@ -145,8 +144,7 @@ def pace(scene: Scene) -> None:
     """A late agent is called again only when it has answered: with all rewards since, and what is newest."""
     # Three steps of an agent with the capability `pace`, which answers the first after them.
     scene.agent, scene.experiment = (scene.peer(role, "pace") for role in (Role.AGENT, Role.EXPERIMENT))
-    scene.init()
-    scene.start()
+    scene.begin()
     number = scene.first_step()
     scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
     late = scene.agent.expects(Kind.AGENT_STEP)
@@ -280,8 +278,7 @@ def unsupported(scene: Scene) -> None:
 def sessions(scene: Scene) -> None:
     """One connection may take part in several sessions, and none disturbs another."""
     # An agent in two sessions over one connection; one continues while the other waits.
-    scene.init()
-    scene.start()
+    scene.begin()
     names = scene.session, f"{scene.session}-{'🏃' * 200}"  # of over 800 bytes
     second = scene.peer(Role.EXPERIMENT)
     second.session = scene.agent.session = names[1]
@@ -317,8 +314,7 @@ def busy(scene: Scene) -> None:
 def repeated(scene: Scene) -> None:
     """A repeated message changes nothing."""
     # A request and an answer sent twice, and a request after its reply.
-    scene.init()
-    scene.start()
+    scene.begin()
     scene.experiment.ask(Kind.RL_STEP)
     scene.experiment.send(Kind.RL_STEP, seq=scene.experiment.seq)
     number = scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
@@ -335,8 +331,7 @@ def repeated(scene: Scene) -> None:
 def not_asked(scene: Scene) -> None:
     """A message that a peer may not send gets the error not-asked, and changes nothing."""
     # A player's call from the experiment, an answer to no call, an answer in another's turn.
-    scene.init()
-    scene.start()
+    scene.begin()
     scene.experiment.seq += 1
     scene.experiment.send(Kind.AGENT_STEP, seq=scene.experiment.seq, body=did(9))
     scene.experiment.expects_error(ErrorCode.NOT_ASKED, scene.experiment.seq)
@@ -353,8 +348,7 @@ def not_asked(scene: Scene) -> None:
 def unknown_kind(scene: Scene) -> None:
     """An unknown kind gets the error unknown-kind, and changes nothing."""
     # A kind that does not exist, from each role.
-    scene.init()
-    scene.start()
+    scene.begin()
     for peer in (scene.agent, scene.environment, scene.experiment):
         peer.send_frames([header(63, peer.session, 5, [])])
         peer.expects_error(ErrorCode.UNKNOWN_KIND, 5)
@@ -365,8 +359,7 @@ def unknown_kind(scene: Scene) -> None:
 def exception(scene: Scene) -> None:
     """A player's exception ends the request with peer-failed, and the player stays."""
     # A player fails in a call, and continues.
-    scene.init()
-    scene.start()
+    scene.begin()
     number = scene.first_step()
     scene.environment.send(Kind.ERROR, "exception", "division by zero", seq=number)
     scene.experiment.expects_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
@@ -377,8 +370,7 @@ def exception(scene: Scene) -> None:
 def malformed(scene: Scene) -> None:
     """A malformed message gets the error malformed, and costs only its sender its place."""
     # Malformed bytes from an unknown peer, and answers malformed in each way that calls to clients are.
-    scene.init()
-    scene.start()
+    scene.begin()
     unknown = scene.peer(Role.AGENT)
     unknown.send_frames([b"\xc1"])
     unknown.expects_error(ErrorCode.MALFORMED, 0, session="")
@@ -403,18 +395,15 @@ def malformed(scene: Scene) -> None:
 def resumed(scene: Scene) -> None:
     """An instance that returns over a new connection continues where it was."""
     # Environment and experiment come back over new connections in the middle of a step.
-    scene.init()
-    scene.start()
+    scene.begin()
     number = scene.first_step()
-    scene.environment.connect()
-    scene.environment.join(resumed=True)
+    scene.environment.rejoin()
     again = scene.environment.expects(Kind.ENV_STEP)
     scene.environment.check(
         (again.seq, again.body) == (number, did(0)), f"{described(again)} received instead of call {number}"
     )
     scene.finish_first_step(number)
-    scene.experiment.connect()
-    scene.experiment.join(resumed=True)
+    scene.experiment.rejoin()
     scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
     scene.step(2)
     scene.counted(reward(1) + reward(2), 3, 0)
@@ -426,21 +415,18 @@ def welcome_lost(scene: Scene) -> None:
     # Each peer's first connections end before it has sent anything with a number.
     for peer in (scene.experiment, scene.agent, scene.environment):
         for _ in range(2):
-            peer.connect()
-            peer.join(resumed=False)
+            peer.rejoin(resumed=False)
             peer.join(resumed=True)
     scene.experiment.ask(Kind.RL_INIT, None)
     number = scene.environment.expects_call(Kind.ENV_INIT)
-    scene.environment.connect()
-    scene.environment.join(resumed=False)
+    scene.environment.rejoin(resumed=False)
     again = scene.environment.expects(Kind.ENV_INIT)
     scene.environment.check(again.seq == number, f"{described(again)} received instead of call {number}")
     scene.environment.send(Kind.ENV_INIT, seq=number, body=TASK_SPEC.encode())
     scene.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
     scene.experiment.expects_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
     for peer in (scene.experiment, scene.agent, scene.environment):
-        peer.connect()
-        peer.join(resumed=True)
+        peer.rejoin()
 
 
 @RULES.add(Tier.PLAYS, "greeting")
@@ -487,8 +473,7 @@ def lost(scene: Scene) -> None:
 def silent(scene: Scene) -> None:
     """A player whose connection ended is lost after `timeout`."""
     # An environment's connection ends without GOODBYE.
-    scene.init()
-    scene.start()
+    scene.begin()
     heartbeat, timeout = map(number, scene.agent.join(resumed=True).scalars[2:4])
     scene.first_step()
     scene.environment.vanish()

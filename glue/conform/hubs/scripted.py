@@ -17,16 +17,7 @@ from glue.hub.sessions import INSTANCE_SIZE
 from glue.system import chance, clock
 from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
-from glue.wire.messages import (
-    CALLS,
-    PROTOCOL_VERSION,
-    ErrorCode,
-    Event,
-    Kind,
-    Message,
-    Role,
-    Value,
-)
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
 
 TASK_SPEC: Final = "a task for a hub, with ümlauts"
 
@@ -96,6 +87,11 @@ class ScriptedPeer:
         known = "a known" if resumed else "an unknown"
         self.check(welcome.scalars[1] is resumed, f"{described(welcome)} received for {known} instance")
         return welcome
+
+    def rejoin(self, resumed: bool = True) -> None:
+        """Join over a new connection."""
+        self.connect()
+        self.join(resumed)
 
     def send(self, kind: Kind, *scalars: Value, seq: int = 0, body: bytes = b"") -> None:
         """Send a message."""
@@ -259,6 +255,11 @@ class Scene:
         self.environment.answers(Kind.ENV_INIT, gives=TASK_SPEC.encode())
         self.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
         self.experiment.expects_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
+
+    def begin(self) -> None:
+        """Let all three peers join, and carry out RL_INIT and RL_START."""
+        self.init()
+        self.start()
 
     def start(self) -> None:
         """Carry out RL_START."""
