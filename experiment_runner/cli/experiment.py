@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any, Final
@@ -41,32 +41,14 @@ _GROUPS: Final = {
 
 
 class _GroupedCommand(NamingCommand):
-    """A command whose less common options are in groups.
-
-    Args:
-        groups: the flags of each group, by its title; all other options are common.
-    """
-
-    def __init__(self, *arguments: Any, groups: Mapping[str, tuple[str, ...]], **settings: Any) -> None:
-        super().__init__(*arguments, **settings)
-        self._groups = groups
-        self.params.append(
-            click.Option(
-                ["--help-all"],
-                is_flag=True,
-                is_eager=True,
-                expose_value=False,
-                callback=_show_all,
-                help="Show all options and exit.",
-            )
-        )
+    """A command whose less common options are in `_GROUPS`."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the common options, and the groups or where to find them."""
         lines = {
             param.opts[-1]: line for param in self.get_params(ctx) if (line := param.get_help_record(ctx))
         }
-        groups = {title: [lines.pop(flag) for flag in flags] for title, flags in self._groups.items()}
+        groups = {title: [lines.pop(flag) for flag in flags] for title, flags in _GROUPS.items()}
         with formatter.section("Options"):
             formatter.write_dl(list(lines.values()))
         if _ALL not in ctx.meta:
@@ -96,7 +78,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     return names[0] if names else None
 
 
-@click.command("glue-experiment", cls=_GroupedCommand, groups=_GROUPS)
+@click.command("glue-experiment", cls=_GroupedCommand)
 @click.option(
     "--env",
     "environment",
@@ -261,6 +243,14 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
 @click.option("--dry-run", is_flag=True, help="Show the trials and their seeds, without running them.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON lines: each episode, then a summary.")
 @click.version_option(__version__, prog_name="glue-experiment")
+@click.option(
+    "--help-all",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_all,
+    help="Show all options and exit.",
+)
 def experiment(**settings: Any) -> int:
     """Run an experiment: an agent in an environment, or everything in a plan.
 

@@ -197,7 +197,7 @@ def _score(store: Store, specs: Sequence[TrialSpec]) -> float:
     reached = []
     failed = {trial.spec.id for trial in store.trials() if trial.failure is not None}
     for spec in specs:
-        returns = store.returns(spec.id)
+        returns = store.measure(spec.id, "return")
         if spec.steps:
             returns = returns[np.cumsum(store.measure(spec.id, "steps")) < spec.steps]
         else:

@@ -367,7 +367,7 @@ def parts_of(directory: Path) -> list[Path]:
         ExperimentError: the database of one cannot be read.
     """
     numbered = [path for path in (directory / PARTS).glob("*") if path.name.isdecimal()]
-    return [path for path in sorted(numbered, key=lambda path: int(path.name)) if _is_run(path)]
+    return [path for path in sorted(numbered, key=lambda path: int(path.name)) if is_run(path)]
 
 
 def is_part(directory: Path) -> bool:
@@ -377,10 +377,15 @@ def is_part(directory: Path) -> bool:
         ExperimentError: the database of the other run cannot be read.
     """
     folder = directory.absolute().parent
-    return folder.name == PARTS and _is_run(folder.parent)
+    return folder.name == PARTS and is_run(folder.parent)
 
 
-def _is_run(directory: Path) -> bool:
+def is_run(directory: Path) -> bool:
+    """Return whether a directory holds a run.
+
+    Raises:
+        ExperimentError: its database cannot be read.
+    """
     with reported(f"cannot read {directory}"):
         return holds_run(directory)
 

@@ -71,12 +71,9 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
 def _sections(outcomes: list[LevelResults]) -> dict[str, str]:
     """Return the tables by the marks that they follow."""
     sections = {}
-    own = [outcome for outcome in outcomes if outcome.experiment.group == ALL]
-    if own:
-        sections[BEGIN] = as_markdown(own)
-    soar = [outcome for outcome in outcomes if outcome.experiment.group == SOAR]
-    if soar:
-        sections[SOAR_BEGIN] = as_soar_markdown(soar)
+    for group, mark, write in ((ALL, BEGIN, as_markdown), (SOAR, SOAR_BEGIN, as_soar_markdown)):
+        if found := [outcome for outcome in outcomes if outcome.experiment.group == group]:
+            sections[mark] = write(found)
     return sections
 
 

@@ -67,17 +67,19 @@ def test_band_holds_the_mean_and_spans_the_trials() -> None:
 def test_tolerance_band_is_the_interval_of_single_trials(over: str) -> None:
     values = learner(50, trials=60)
     if over == "episodes":
-        figure = plots.learning_curves({("", "a"): values}, rng(), window=20, tolerance=True)
+        figure = plots.learning_curves(
+            {("", "a"): values}, rng(), window=20, layout=plots.Layout(tolerance=True)
+        )
         last = values[:, -20:].mean(axis=1)
     elif over == "steps":
         steps = np.arange(301.0)
         trials = [StepTotals(steps, np.concatenate([[0.0], one.cumsum()])) for one in values]
-        figure = plots.step_curves({("", "a"): trials}, rng(), window=30, tolerance=True)
+        figure = plots.step_curves({("", "a"): trials}, rng(), window=30, layout=plots.Layout(tolerance=True))
         last = values[:, -30:].mean(axis=1)
     else:
         steps = np.arange(1.0, 301.0)
         figure = plots.metric_curves(
-            {("", "a"): [(steps, one) for one in values]}, rng(), "error", tolerance=True
+            {("", "a"): [(steps, one) for one in values]}, rng(), plots.Layout(label="error", tolerance=True)
         )
         last = values[:, -1]
     (band,) = figure.axes[0].collections
@@ -99,7 +101,9 @@ def test_curve_shorter_than_the_window_is_left_out() -> None:
 
 def test_curves_without_a_value_are_an_error() -> None:
     with pytest.raises(ExperimentError, match="explored"):
-        plots.learning_curves({("", "a"): np.full((2, 100), np.nan)}, rng(), label="explored")
+        plots.learning_curves(
+            {("", "a"): np.full((2, 100), np.nan)}, rng(), layout=plots.Layout(label="explored")
+        )
 
 
 def test_single_trial_is_drawn_without_a_band() -> None:
@@ -162,14 +166,15 @@ def test_interval_of_few_trials_is_marked() -> None:
 @pytest.mark.parametrize("name", ["_private", "$_$", "_$^$"])
 def test_a_name_of_any_characters_is_shown_as_it_is(tmp_path: Path, name: str) -> None:
     figure = plots.learning_curves(
-        {(name, name): learner(9.0, 5), (name, "b"): learner(9.0, 5)}, rng(), label=name
+        {(name, name): learner(9.0, 5), (name, "b"): learner(9.0, 5)}, rng(), layout=plots.Layout(label=name)
     )
     assert [text.strip().replace("\\$", "$") for text in legend_of(figure)] == [name, "b"]
     plots.save(figure, tmp_path / "figure.png")
     plots.save(
-        plots.comparison({name: {name: np.ones(5)}}, rng(), final=FINAL, label=name), tmp_path / "figure.png"
+        plots.comparison({name: {name: np.ones(5)}}, rng(), final=FINAL, layout=plots.Layout(label=name)),
+        tmp_path / "figure.png",
     )
-    plots.save(plots.scatter({name: learner(9.0)}, label=name), tmp_path / "figure.png")
+    plots.save(plots.scatter({name: learner(9.0)}, layout=plots.Layout(label=name)), tmp_path / "figure.png")
 
 
 @pytest.mark.parametrize("empty", [{}, {"a": np.empty((0, 0))}])
