@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -18,6 +18,8 @@ from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.plugins.naming import NamingCommand, complete_names
 from glue.wire.messages import Role
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 _ALL: Final = f"{__name__}.all"
 _GROUPS: Final = {
@@ -78,26 +80,22 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     return names[0] if names else None
 
 
+def _player_option(flag: str, role: Role) -> Callable[[_Command], _Command]:
+    return click.option(
+        flag,
+        str(role),
+        metavar="NAME",
+        multiple=True,
+        type=_Name(),
+        callback=_only_one,
+        shell_complete=complete_names(role),
+        help=f"{str(role).capitalize()}; without it, one joins from outside.",
+    )
+
+
 @click.command("glue-experiment", cls=_GroupedCommand)
-@click.option(
-    "--env",
-    "environment",
-    metavar="NAME",
-    multiple=True,
-    type=_Name(),
-    callback=_only_one,
-    shell_complete=complete_names(Role.ENVIRONMENT),
-    help="Environment; without it, one joins from outside.",
-)
-@click.option(
-    "--agent",
-    metavar="NAME",
-    multiple=True,
-    type=_Name(),
-    callback=_only_one,
-    shell_complete=complete_names(Role.AGENT),
-    help="Agent; without it, one joins from outside.",
-)
+@_player_option("--env", Role.ENVIRONMENT)
+@_player_option("--agent", Role.AGENT)
 @click.option("--env-option", multiple=True, metavar="N=VALUE", help="See glue-env NAME --help.")
 @click.option("--agent-option", multiple=True, metavar="N=VALUE", help="See glue-agent NAME --help.")
 @click.option("--episodes", type=click.IntRange(1), metavar="N", help="Episodes of each trial.")

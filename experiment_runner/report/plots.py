@@ -93,18 +93,13 @@ _PLAIN: Final = Layout()
 
 
 def learning_curves(
-    curves: Mapping[Key, stats.FloatArray],
-    rng: np.random.Generator,
-    *,
-    window: int = 100,
-    layout: Layout = _PLAIN,
+    curves: Mapping[Key, stats.FloatArray], *, window: int = 100, layout: Layout = _PLAIN
 ) -> Figure:
     """Return a figure of running means over trials, each with its 95 % bootstrap band.
 
     Args:
         curves: (trials, episodes) of each. A single trial has no band, and a curve shorter than the window
             is left out.
-        rng: for resampling.
         window: episodes in the running mean; at most a tenth of the longest curve is used.
         layout: of the figure.
 
@@ -114,22 +109,18 @@ def learning_curves(
     window = fitting_window(window, (values.shape[1] for values in curves.values()))
     if not any(np.isfinite(values).any() for values in curves.values()):
         raise ExperimentError(f"there is nothing to draw: no episode has a value of {layout.label}")
+    rng = stats.bootstrap_rng()
     found = {key: over_episodes(values, window, rng) for key, values in curves.items()}
     return _curves(found, window, "episode", layout)
 
 
 def step_curves(
-    totals: Mapping[Key, Sequence[StepTotals]],
-    rng: np.random.Generator,
-    *,
-    window: int = 0,
-    layout: Layout = _PLAIN,
+    totals: Mapping[Key, Sequence[StepTotals]], *, window: int = 0, layout: Layout = _PLAIN
 ) -> Figure:
     """Return a figure like that of `learning_curves`, over steps.
 
     Args:
         totals: of the trials of each. A curve with a trial shorter than the window is left out.
-        rng: for resampling.
         window: steps in the running mean; at most a tenth of the longest trial is used. 0 for a fiftieth.
         layout: of the figure.
 
@@ -137,25 +128,24 @@ def step_curves(
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
     window = step_window(window, totals.values())
+    rng = stats.bootstrap_rng()
     found = {key: over_steps(trials, window, rng) for key, trials in totals.items()}
     return _curves(found, window, "step", layout)
 
 
 def metric_curves(
-    readings: Mapping[Key, Sequence[tuple[stats.FloatArray, stats.FloatArray]]],
-    rng: np.random.Generator,
-    layout: Layout,
+    readings: Mapping[Key, Sequence[tuple[stats.FloatArray, stats.FloatArray]]], layout: Layout
 ) -> Figure:
     """Return a figure of a metric over steps: the mean over trials, with bands as in `learning_curves`.
 
     Args:
         readings: steps and values of the trials of each.
-        rng: for resampling.
         layout: of the figure; its label is the name of the metric.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
+    rng = stats.bootstrap_rng()
     found = {key: of_metric(trials, rng) for key, trials in readings.items()}
     if not any(found.values()):
         raise ExperimentError(_NOTHING)
@@ -251,18 +241,13 @@ def scatter(
 
 
 def comparison(
-    environments: Mapping[str, Mapping[str, stats.FloatArray]],
-    rng: np.random.Generator,
-    *,
-    final: str,
-    layout: Layout = _PLAIN,
+    environments: Mapping[str, Mapping[str, stats.FloatArray]], *, final: str, layout: Layout = _PLAIN
 ) -> Figure:
     """Return a figure of the final performance of each agent, with 95 % bootstrap intervals.
 
     Args:
         environments: the performance of each agent's trials, (trials,), by environment and agent. Each
             environment has a panel: values of different tasks have no common mean.
-        rng: for resampling.
         final: the part of a trial over which its performance was measured, as in `last 100 episodes`.
         layout: of the figure.
 
@@ -271,6 +256,7 @@ def comparison(
     """
     if not any(values.size for agents in environments.values() for values in agents.values()):
         raise ExperimentError(_NOTHING)
+    rng = stats.bootstrap_rng()
     rows = max(map(len, environments.values()))
     with _style():
         figure, panels, _ = _grid(len(environments), layout, "none", 0.4 + _ROW_HEIGHT * rows, 1)

@@ -225,9 +225,7 @@ COMPETITION_FILE: Final = "competition.toml"
 SOURCES: Final = "sources"  # a folder: copies of the user's files that the plan loads
 JOURNAL_FILE: Final = "journal.jsonl"  # of a competition's run: the acts of its organiser
 SEAL_FILE: Final = "seal.json"  # of a competition's run: digests of what its board shows
-TOKEN_FILE: Final = (
-    "page.token"  # of a season's run: the secret with which its page shows all to the organiser
-)
+TOKEN_FILE: Final = "page.token"  # of a season: the secret with which its page shows all to the organiser
 BOARD_FILE: Final = "board.json"  # of a bundle of a competition: its boards
 NOTES_FILE: Final = "notes.json"  # a note and tags, which the page of runs takes
 RECORDS: Final = "records"  # a folder of a competition's run: recordings of its trials

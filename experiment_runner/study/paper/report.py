@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+from experiment_runner.analysis.stats import FloatArray
 from experiment_runner.report.plots import learning_curves, save, scatter
 from experiment_runner.report.tables import counted
 from experiment_runner.store.database import reported
@@ -134,7 +134,7 @@ def figures(outcomes: Sequence[LevelResults]) -> dict[str, Figure]:
         curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
         if curves:
             drawn[f"curves-{difficulty}"] = learning_curves(
-                {("", name): one for name, one in curves.items()}, bootstrap_rng(), window=WINDOW
+                {("", name): one for name, one in curves.items()}, window=WINDOW
             )
     best = {
         f"difficulty {o.level.difficulty}": o.curves
