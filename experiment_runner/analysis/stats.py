@@ -212,10 +212,13 @@ def compare(a: FloatArray, b: FloatArray, rng: np.random.Generator) -> Compariso
     ties = a[:, None] == b[None, :]  # of infinite values, too, whose difference is NaN
     better = (np.sign(np.where(ties, 0.0, a[:, None] - b[None, :])) + 1) / 2
     among = np.array([better[np.ix_(one, one)].mean() for one in chosen])
-    return Comparison(_estimate(difference, resampled), _estimate(float(better.mean()), among), len(a))
+    return Comparison(
+        with_interval(difference, resampled), with_interval(float(better.mean()), among), len(a)
+    )
 
 
-def _estimate(value: float, resampled: FloatArray) -> Estimate:
+def with_interval(value: float, resampled: FloatArray) -> Estimate:
+    """Return a statistic with the middle 95 % of its values in resampled trials, (resamples,)."""
     low, high = np.percentile(resampled, [2.5, 97.5])
     return Estimate(np.array(value), low, high)
 

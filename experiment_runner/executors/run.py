@@ -189,8 +189,9 @@ class RunCollector(Closing):
                 spec = self._specs[trial_id]
                 self._reporter.rename(spec, spec.named(self._joined))
                 self._say(trial_id, f"{player} joined")
-                if not seeded:
-                    self._note_unseeded(f"the {player} takes no seed: its random numbers cannot be repeated")
+                line = f"the {player} takes no seed: its random numbers cannot be repeated"
+                if not seeded and self._store.record_once(UNSEEDED, line):
+                    self._reporter.say(line)
 
     def commit(self) -> None:
         """Store the episodes that are kept, then report them."""
@@ -237,12 +238,6 @@ class RunCollector(Closing):
                 return
             self._said.add(text)
         self._say(trial_id, text)
-
-    def _note_unseeded(self, line: str) -> None:
-        """Record and show, once in the run, that a player takes no seed."""
-        if not any(event.kind == UNSEEDED and event.text == line for event in self._store.events()):
-            self._store.record_event(UNSEEDED, line)
-            self._reporter.say(line)
 
     def _say(self, trial_id: str, text: str) -> None:
         name = self._specs[trial_id].named(self._joined)

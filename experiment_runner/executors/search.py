@@ -77,15 +77,12 @@ def tune(
     ]
     with _open(directory / RESULT, plan, specs, reporter.say) as store:
         failed = run_trials(store, config, reporter, again=again)
-        known = {event.text for event in store.events()}
         for one in chosen:
             if not one.report:
                 continue
             score = _score(store, [spec for spec in specs if spec.id.startswith(f"{one.sweep.label}/")])
             here = f"in the {counted(plan.tune.final, 'trial')} here, with other seeds: {score:.2f}"
-            text = f"{one.report}; {here}"
-            if text not in known:
-                store.record_event(TUNED, text)
+            store.record_once(TUNED, f"{one.report}; {here}")
         return directory / RESULT, failed
 
 
@@ -203,7 +200,7 @@ def _score(store: Store, specs: Sequence[TrialSpec]) -> float:
     reached = []
     failed = {trial.spec.id: trial for trial in store.trials() if trial.failure is not None}
     for spec in specs:
-        returns = store.returns(spec.id)
+        returns = store.measure(spec.id, "return")
         if spec.steps:
             returns = returns[np.cumsum(store.measure(spec.id, "steps")) < spec.steps]
         else:

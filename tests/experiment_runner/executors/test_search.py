@@ -109,7 +109,7 @@ def test_the_best_configuration_runs_again_with_other_seeds(tmp_path: Path, prun
             assert trial.spec.agent is not None
             if trial.done == 8:
                 key = str(dict(trial.spec.agent.options))
-                scores.setdefault(key, []).append(search.returns(trial.spec.id)[-2:].mean())
+                scores.setdefault(key, []).append(search.measure(trial.spec.id, "return")[-2:].mean())
         assert len(scores) < 6 if prune else len(scores) == 6
         best = max(scores, key=lambda key: float(interquartile_mean(np.array(scores[key]))))
         assert {str(one) for one in options["sarsa"]} == {best}
