@@ -157,6 +157,10 @@ class LinearAgent(Agent):
             tiles * ((number - low) * scale if scale else 0.5 + math.atan(number) / math.pi)
             for number, (low, scale) in zip(numbers, self._scales, strict=True)
         ]
+        if not all(map(math.isfinite, places)):
+            raise LocalProtocolError(
+                f"{numbers} were observed: a number is NaN, or infinite in spite of bounds"
+            )
         cells = []
         for tiling in range(tilings):
             cell = tiling

@@ -35,6 +35,7 @@ def epsilon_greedy(
 
     Raises:
         RemoteProtocolError: the mask does not fit the number of actions.
+        LocalProtocolError: a value is NaN.
     """
     choices: Sequence[int] = range(len(values))
     if observation.packed_mask:
@@ -45,6 +46,10 @@ def epsilon_greedy(
         return choices[int(generator.integers(len(choices)))]
     highest = max(values)
     best = [choice for choice, value in zip(choices, values, strict=True) if value == highest]
+    if not best:
+        raise LocalProtocolError(
+            "what was learned is NaN: rewards were infinite or NaN, or learning diverged"
+        )
     return best[generator.integers(len(best))] if len(best) > 1 else best[0]
 
 

@@ -88,9 +88,8 @@ class Route:
 
     def action(self, worlds: Array, levels: Array) -> int:
         """Return the next action of the route; -1 if none leads to the goal from the belief."""
-        rest = (
-            self._plan[len(self._made) :] or self._plan[-1:]
-        )  # the last action wins, but the game may notice the end later
+        # The last action wins, but the game may notice the end later.
+        rest = self._plan[len(self._made) :] or self._plan[-1:]
         if self._promised(rest, worlds, levels) == _NOTHING:
             self._plan = rest = []
         return rest[0] if rest else -1

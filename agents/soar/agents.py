@@ -17,7 +17,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 
@@ -290,10 +290,12 @@ class SoarMinesAgent(SoarPlayer):
 
 
 class SoarHierarchicalAgent(SoarPlayer):
-    """Experiment 5 on the Soar kernel: two levels; the order of the operators is learned."""
+    """Experiment 5 on the Soar kernel: two levels; the order of the operators is learned.
+
+    Its productions, like those of every agent below, are in the file of its name.
+    """
 
     name = "soar-hierarchical"
-    _file: ClassVar[str] = "hierarchical.soar"
 
     @dataclass(frozen=True, kw_only=True)
     class Options(SarsaOptions):
@@ -301,7 +303,7 @@ class SoarHierarchicalAgent(SoarPlayer):
 
     def __init__(self, **options: Any) -> None:
         self._options = self.Options(**options)
-        file = PRODUCTIONS / "mario" / self._file
+        file = PRODUCTIONS / "mario" / f"{self.name.removeprefix('soar-')}.soar"
         super().__init__(file, self._options.max_cycles, self._options.seed)
 
     def _commands(self) -> Iterable[str]:
@@ -322,32 +324,27 @@ class SoarHierarchicalProgrammedAgent(SoarHierarchicalAgent):
     """Experiment 4 on the Soar kernel: two levels; the order of the operators is programmed."""
 
     name = "soar-hierarchical-programmed"
-    _file = "hierarchical-programmed.soar"
 
 
 class SoarHierarchicalFactsAgent(SoarHierarchicalAgent):
     """Experiment 6 on the Soar kernel: as 5, and what lies above a reachable platform is reachable."""
 
     name = "soar-hierarchical-facts"
-    _file = "hierarchical-facts.soar"
 
 
 class SoarHierarchicalInternalAgent(SoarHierarchicalAgent):
     """Experiment 7 on the Soar kernel: as 6, but keystrokes are rewarded for their operator's goal."""
 
     name = "soar-hierarchical-internal"
-    _file = "hierarchical-internal.soar"
 
 
 class SoarObjectsCoarseAgent(SoarHierarchicalAgent):
     """Experiment 8 on the Soar kernel: as 6, but a keystroke's value is a sum over objects of a kind."""
 
     name = "soar-objects-coarse"
-    _file = "objects-coarse.soar"
 
 
 class SoarFlatAgent(SoarHierarchicalAgent):
     """Experiment 3 on the Soar kernel: one level; a state is all objects that are related to Mario."""
 
     name = "soar-flat"
-    _file = "flat.soar"

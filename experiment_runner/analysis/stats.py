@@ -209,12 +209,16 @@ def compare(a: FloatArray, b: FloatArray, rng: np.random.Generator) -> Compariso
     chosen = rng.integers(len(a), size=(_RESAMPLES, len(a)))
     resampled = interquartile_mean(a[chosen], axis=1) - interquartile_mean(b[chosen], axis=1)
     difference = float(interquartile_mean(a) - interquartile_mean(b))
-    better = (np.sign(a[:, None] - b[None, :]) + 1) / 2
+    ties = a[:, None] == b[None, :]  # of infinite values, too, whose difference is NaN
+    better = (np.sign(np.where(ties, 0.0, a[:, None] - b[None, :])) + 1) / 2
     among = np.array([better[np.ix_(one, one)].mean() for one in chosen])
-    return Comparison(_estimate(difference, resampled), _estimate(float(better.mean()), among), len(a))
+    return Comparison(
+        with_interval(difference, resampled), with_interval(float(better.mean()), among), len(a)
+    )
 
 
-def _estimate(value: float, resampled: FloatArray) -> Estimate:
+def with_interval(value: float, resampled: FloatArray) -> Estimate:
+    """Return a statistic with the middle 95 % of its values in resampled trials, (resamples,)."""
     low, high = np.percentile(resampled, [2.5, 97.5])
     return Estimate(np.array(value), low, high)
 

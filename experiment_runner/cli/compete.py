@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shlex
 import warnings
+from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -99,6 +101,7 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     """Let every entrant play every task. After an interruption, the same command plays the rest."""
     from experiment_runner.competition.course import course_of
     from experiment_runner.competition.organiser import hold, open_competition
+    from experiment_runner.competition.records.verify import not_installed
     from experiment_runner.competition.season.acts import answering
     from experiment_runner.competition.season.control import Door
     from experiment_runner.competition.settings import Gate, load_competition
@@ -119,15 +122,21 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
         workers = workers or max(1, (os.cpu_count() or 1) // 2)
         with Door(out) as door:
             failed = hold(store, competition, secret, workers, say, gate, answering(door))
+        trusted = _allowing(not_installed(store))
         store.close()  # so that it can be verified while the page is open
         total = len(course_of(out).trials)
         if failed:
             say(f"{failed} of {total} trials have failed: start the same command again when that is solved")
         else:
-            say(f"all {total} trials are over; now: glue-compete verify {out}")
+            say(f"all {total} trials are over; now: glue-compete verify {out}{trusted}")
         if wait is not None:
             wait()
     return 1 if failed else 0
+
+
+def _allowing(names: Iterable[str]) -> str:
+    """Return the options of `verify` that allow environments which are not installed."""
+    return "".join(f" --env {shlex.quote(name)}" for name in names)
 
 
 @compete.command()
@@ -143,8 +152,8 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
     "environments",
     multiple=True,
     metavar="NAME",
-    help="Environment that is not installed, and whose code you trust: FILE.py:CLASS, your copy of the "
-    "organiser's file, or any other name; repeat it for several.",
+    help="Environment, or opponent in one, that is not installed, and whose code you trust: FILE.py:CLASS, "
+    "your copy of the organiser's file, or any other name; repeat it for several.",
 )
 def verify(directory: Path, sign: Path | None, environments: tuple[str, ...]) -> int:
     """Play every recorded action again, and compare every reward and score, bit for bit."""
@@ -252,7 +261,7 @@ def bundle(directory: Path, out: Path) -> None:
     from experiment_runner.competition.season.bundle import bundle as write_bundle
 
     needed = write_bundle(directory, out)
-    trusted = "".join(f" --env {without_place(name)}" for name in needed)
+    trusted = _allowing(map(without_place, needed))
     say(f"whoever has {out} can verify it: glue-compete verify {out}{trusted}")
     for name in needed:
         say(f"it does not hold the code of {name}: publish that, too")

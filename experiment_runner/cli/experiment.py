@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -18,6 +18,8 @@ from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.plugins.naming import NamingCommand, complete_names
 from glue.wire.messages import Role
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 _ALL: Final = f"{__name__}.all"
 _GROUPS: Final = {
@@ -41,32 +43,14 @@ _GROUPS: Final = {
 
 
 class _GroupedCommand(NamingCommand):
-    """A command whose less common options are in groups.
-
-    Args:
-        groups: the flags of each group, by its title; all other options are common.
-    """
-
-    def __init__(self, *arguments: Any, groups: Mapping[str, tuple[str, ...]], **settings: Any) -> None:
-        super().__init__(*arguments, **settings)
-        self._groups = groups
-        self.params.append(
-            click.Option(
-                ["--help-all"],
-                is_flag=True,
-                is_eager=True,
-                expose_value=False,
-                callback=_show_all,
-                help="Show all options and exit.",
-            )
-        )
+    """A command whose less common options are in `_GROUPS`."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the common options, and the groups or where to find them."""
         lines = {
             param.opts[-1]: line for param in self.get_params(ctx) if (line := param.get_help_record(ctx))
         }
-        groups = {title: [lines.pop(flag) for flag in flags] for title, flags in self._groups.items()}
+        groups = {title: [lines.pop(flag) for flag in flags] for title, flags in _GROUPS.items()}
         with formatter.section("Options"):
             formatter.write_dl(list(lines.values()))
         if _ALL not in ctx.meta:
@@ -96,26 +80,22 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     return names[0] if names else None
 
 
-@click.command("glue-experiment", cls=_GroupedCommand, groups=_GROUPS)
-@click.option(
-    "--env",
-    "environment",
-    metavar="NAME",
-    multiple=True,
-    type=_Name(),
-    callback=_only_one,
-    shell_complete=complete_names(Role.ENVIRONMENT),
-    help="Environment; without it, one joins from outside.",
-)
-@click.option(
-    "--agent",
-    metavar="NAME",
-    multiple=True,
-    type=_Name(),
-    callback=_only_one,
-    shell_complete=complete_names(Role.AGENT),
-    help="Agent; without it, one joins from outside.",
-)
+def _player_option(flag: str, role: Role) -> Callable[[_Command], _Command]:
+    return click.option(
+        flag,
+        str(role),
+        metavar="NAME",
+        multiple=True,
+        type=_Name(),
+        callback=_only_one,
+        shell_complete=complete_names(role),
+        help=f"{str(role).capitalize()}; without it, one joins from outside.",
+    )
+
+
+@click.command("glue-experiment", cls=_GroupedCommand)
+@_player_option("--env", Role.ENVIRONMENT)
+@_player_option("--agent", Role.AGENT)
 @click.option("--env-option", multiple=True, metavar="N=VALUE", help="See glue-env NAME --help.")
 @click.option("--agent-option", multiple=True, metavar="N=VALUE", help="See glue-agent NAME --help.")
 @click.option("--episodes", type=click.IntRange(1), metavar="N", help="Episodes of each trial.")
@@ -261,6 +241,14 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
 @click.option("--dry-run", is_flag=True, help="Show the trials and their seeds, without running them.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON lines: each episode, then a summary.")
 @click.version_option(__version__, prog_name="glue-experiment")
+@click.option(
+    "--help-all",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_all,
+    help="Show all options and exit.",
+)
 def experiment(**settings: Any) -> int:
     """Run an experiment: an agent in an environment, or everything in a plan.
 

@@ -99,7 +99,7 @@ def plot(
       glue-plot runs/sweep --select sarsa --size 6.4x3 --columns 3 -o sarsa.pdf
     """
     from experiment_runner.analysis.settings import REWARD, collect
-    from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+    from experiment_runner.analysis.stats import FloatArray
     from experiment_runner.report import plots
     from experiment_runner.report.sketch import sketches
     from experiment_runner.report.tables import counted
@@ -131,10 +131,10 @@ def plot(
             )
             raise click.UsageError(f"there is no metric {metric}{near}")
         found = selected(collect(runs, measure, metric), select)
-    layout = plots.Layout(title, size, columns or 0)
     settings = [setting for setting in found if setting.curves().size]
     labels = {REWARD: "reward per step", **{name: known.label for name, known in MEASURES.items()}}
-    rng, label = bootstrap_rng(), labels.get(measure, measure)
+    label = metric or labels.get(measure, measure)
+    layout = plots.Layout(title, size, columns or 0, label, tolerance)
     last = window or 100
     totals = {(s.environment, s.agent): s.step_totals() for s in settings} if over == "steps" else {}
     if totals:
@@ -143,29 +143,27 @@ def plot(
         readings = {
             (s.environment, s.agent): [(m.steps, m.values) for m in s.metrics if m.steps.size] for s in found
         }
-        figure = plots.metric_curves(readings, rng, metric, tolerance, layout)
+        figure = plots.metric_curves(readings, layout)
     elif kind == "comparison":
         environments: dict[str, dict[str, FloatArray]] = defaultdict(dict)
         for setting in settings:
             environments[setting.environment][setting.agent] = setting.final(last, over)
         final = f"last {counted(last, over[:-1])}"
-        figure = plots.comparison(environments, rng, final=final, label=label, layout=layout)
+        figure = plots.comparison(environments, final=final, layout=layout)
     elif kind == "profile":
         reached = {(s.environment, s.agent): s.final(last, over) for s in settings}
-        figure = plots.profiles(reached, label=label, layout=layout)
+        figure = plots.profiles(reached, layout=layout)
     elif totals:
-        figure = plots.step_curves(totals, rng, window=last, label=label, tolerance=tolerance, layout=layout)
+        figure = plots.step_curves(totals, window=last, layout=layout)
     elif kind == "curves":
         curves = {(s.environment, s.agent): s.curves() for s in settings}
         if out is None:
             click.echo(sketches(curves, last, measure, shutil.get_terminal_size().columns))
             return
-        figure = plots.learning_curves(
-            curves, rng, window=last, label=label, tolerance=tolerance, layout=layout
-        )
+        figure = plots.learning_curves(curves, window=last, layout=layout)
     else:
         named = {setting.label: setting.curves() for setting in settings}
-        figure = plots.scatter(named, window=last, label=label, layout=layout)
+        figure = plots.scatter(named, window=last, layout=layout)
     assert out is not None
     plots.save(figure, out)
     say(f"wrote {out}")

@@ -124,6 +124,8 @@ def carry_out(
         if left and not remaining(store):
             _finish(store, plan, progress.say)
         addresses.close()  # a player that joins from now on would not be served
+        if not holds_run(directory):
+            raise ExperimentError(f"{directory} was moved or removed during the run, and its results with it")
         seconds = time.monotonic() - began
         if isinstance(progress, JsonLines):
             progress.write(summarize(store, seconds))
@@ -163,7 +165,8 @@ def note_players_without_seed(store: Store, plan: Plan, say: Callable[[str], Non
     for role, sweeps in ((Role.ENVIRONMENT, plan.environments), (Role.AGENT, plan.agents)):
         for sweep in sweeps:
             if (line := without_seed(role, sweep.label, find(role, sweep.name))) is not None:
-                _note(store, UNSEEDED, line, say)
+                say(line)
+                store.record_once(UNSEEDED, line)
 
 
 def _finish(store: Store, plan: Plan, say: Callable[[str], None]) -> None:
@@ -179,14 +182,9 @@ def _finish(store: Store, plan: Plan, say: Callable[[str], None]) -> None:
         unsaid = all("." in name for name in names.values())
         if unsaid and found.isdisjoint(f"{label}.{name}" for label, name in names.items()):
             why = f"no such extra came from {', '.join(labels)}"
-            _note(store, UNMETERED, f"metric {key} never had a value: {why}", say)
-
-
-def _note(store: Store, kind: str, line: str, say: Callable[[str], None]) -> None:
-    """Show a line, and record it once in the run."""
-    say(line)
-    if all((event.kind, event.text) != (kind, line) for event in store.events()):
-        store.record_event(kind, line)
+            line = f"metric {key} never had a value: {why}"
+            say(line)
+            store.record_once(UNMETERED, line)
 
 
 def _since(store: Store) -> str:

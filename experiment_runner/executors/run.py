@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Container, Iterable
 from functools import partial
 from typing import Final
 
@@ -35,6 +35,7 @@ def run_trials(
     recording: TrajectoryWriter | None = None,
     *,
     again: str = "",
+    only: Container[str] | None = None,
 ) -> int:
     """Run the unfinished trials of a run; return the number of all its trials that have failed.
 
@@ -47,6 +48,7 @@ def run_trials(
         reporter: shows progress.
         recording: receives every step, if this process runs a single trial; None for no recording.
         again: command that continues the run, shown after an interruption; empty for none.
+        only: the ids of the trials to run; None for all.
 
     Raises:
         StorageError: the store cannot be written to.
@@ -58,7 +60,8 @@ def run_trials(
     try:
         # Workers defer Ctrl-C themselves, so wait a little longer for their reports.
         grace = config.grace if executor is None else config.grace + 0.3
-        trial_ids = [trial.trial_id for trial in remaining(store)]
+        left = [trial.trial_id for trial in remaining(store)]
+        trial_ids = [trial_id for trial_id in left if only is None or trial_id in only]
         with RunCollector(store, config, reporter) as collector, Interrupts(grace) as interrupts:
             if executor is None:
                 collector.run_here(trial_ids, interrupts, recording)
@@ -186,8 +189,9 @@ class RunCollector(Closing):
                 spec = self._specs[trial_id]
                 self._reporter.rename(spec, spec.named(self._joined))
                 self._say(trial_id, f"{player} joined")
-                if not seeded:
-                    self._note_unseeded(f"the {player} takes no seed: its random numbers cannot be repeated")
+                line = f"the {player} takes no seed: its random numbers cannot be repeated"
+                if not seeded and self._store.record_once(UNSEEDED, line):
+                    self._reporter.say(line)
 
     def commit(self) -> None:
         """Store the episodes that are kept, then report them."""
@@ -234,12 +238,6 @@ class RunCollector(Closing):
                 return
             self._said.add(text)
         self._say(trial_id, text)
-
-    def _note_unseeded(self, line: str) -> None:
-        """Record and show, once in the run, that a player takes no seed."""
-        if not any(event.kind == UNSEEDED and event.text == line for event in self._store.events()):
-            self._store.record_event(UNSEEDED, line)
-            self._reporter.say(line)
 
     def _say(self, trial_id: str, text: str) -> None:
         name = self._specs[trial_id].named(self._joined)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -66,8 +66,8 @@ def tune(
     assert plan.tune is not None
     with _open(directory / SEARCH, plan, [], reporter.say) as store:
 
-        def run() -> None:
-            run_trials(store, config, reporter, again=again)
+        def run(trial_ids: Container[str]) -> None:
+            run_trials(store, config, reporter, again=again, only=trial_ids)
 
         chosen = [_search(store, plan, plan.tune, sweep, run, reporter.say) for sweep in plan.agents]
     specs = [
@@ -77,15 +77,12 @@ def tune(
     ]
     with _open(directory / RESULT, plan, specs, reporter.say) as store:
         failed = run_trials(store, config, reporter, again=again)
-        known = {event.text for event in store.events()}
         for one in chosen:
             if not one.report:
                 continue
             score = _score(store, [spec for spec in specs if spec.id.startswith(f"{one.sweep.label}/")])
             here = f"in the {counted(plan.tune.final, 'trial')} here, with other seeds: {score:.2f}"
-            text = f"{one.report}; {here}"
-            if text not in known:
-                store.record_event(TUNED, text)
+            store.record_once(TUNED, f"{one.report}; {here}")
         return directory / RESULT, failed
 
 
@@ -105,7 +102,7 @@ def _search(
     plan: Plan,
     tune: TunePlan,
     sweep: RoleSweep,
-    run: Callable[[], None],
+    run: Callable[[Container[str]], None],
     say: Callable[[str], None],
 ) -> _Chosen:
     """Return an agent with the options of its best configuration."""
@@ -133,7 +130,9 @@ def _search(
         scores += zip(batch, found, strict=True)
     finished = [(one, score.value) for one, score in scores if not score.pruned and score.value > -math.inf]
     if not finished:
-        raise ExperimentError(f"every configuration of {sweep.label} has failed: see {store.directory}")
+        raise ExperimentError(
+            f"every configuration of {sweep.label} has failed, or ended no episode: see {store.directory}"
+        )
     best, score = max(finished, key=lambda pair: pair[1])
     shown = " ".join(f"{name}={plain(value)}" for name, value in best.items())
     done = [trial for trial in store.trials() if trial.spec.id.startswith(f"{sweep.label}/")]
@@ -167,11 +166,15 @@ def _shortened(spec: TrialSpec) -> TrialSpec:
 
 
 def _run(
-    store: Store, specs: Sequence[TrialSpec], run: Callable[[], None], say: Callable[[str], None]
+    store: Store,
+    specs: Sequence[TrialSpec],
+    run: Callable[[Container[str]], None],
+    say: Callable[[str], None],
 ) -> None:
     """Run the trials that the store does not have, or has only at a shorter length.
 
-    A sampler may propose a configuration twice, even at once: it is run once.
+    A sampler may propose a configuration twice, even at once: it is run once. Trials of other configurations
+    that have failed are not run again.
     """
     known = {trial.spec.id: trial.spec for trial in store.trials()}
     wanted = {spec.id: spec for spec in specs}
@@ -183,26 +186,28 @@ def _run(
     lengthen(store, new, say)
     left = [trial for trial in remaining(store) if trial.trial_id in wanted]
     for trial in left:
-        if trial.dropped:  # its players could not be saved at its shorter length
+        if trial.trial_id in known:  # it has failed, or its players could not be saved at its shorter length
             go_back(store, trial)
     if left:
-        run()
+        run({trial.trial_id for trial in left})
 
 
 def _score(store: Store, specs: Sequence[TrialSpec]) -> float:
     """Return the interquartile mean over trials of their mean return near the end; -inf if one failed.
 
-    Only episodes within the length of `specs` count, so that a part's score stays the same after the rest.
+    Only what is within the length of `specs` counts, so that a part's score stays the same after the rest.
     """
     reached = []
-    failed = {trial.spec.id for trial in store.trials() if trial.failure is not None}
+    failed = {trial.spec.id: trial for trial in store.trials() if trial.failure is not None}
     for spec in specs:
-        returns = store.returns(spec.id)
+        returns = store.measure(spec.id, "return")
         if spec.steps:
             returns = returns[np.cumsum(store.measure(spec.id, "steps")) < spec.steps]
         else:
             returns = returns[: spec.episodes]
-        if spec.id in failed or not returns.size:
+        trial = failed.get(spec.id)
+        within = trial is not None and (trial.done < spec.episodes or trial.steps < spec.steps)
+        if within or not returns.size:
             return -math.inf
         reached.append(float(returns[-max(1, returns.size // _RUNG) :].mean()))
     score = float(interquartile_mean(np.array(reached)))

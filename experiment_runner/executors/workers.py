@@ -42,7 +42,7 @@ from experiment_runner.processes.children import (
     start,
 )
 from experiment_runner.processes.warm import Warm
-from glue.errors import ConfigError, ExperimentError
+from glue.errors import ConfigError, ExperimentError, described
 from glue.installed import needing
 
 _MODULE: Final = "experiment_runner.executors.workers"
@@ -319,7 +319,14 @@ def _run(data: bytes, work: Work) -> Iterator[bytes]:
     """
     [value] = unpack(data)
     reports: SimpleQueue[object] = SimpleQueue()
-    Thread(target=work, args=(value, reports.put), daemon=True).start()
+
+    def run() -> None:
+        try:
+            work(value, reports.put)
+        except BaseException as error:  # a job of another version of the program, for instance
+            reports.put(Ended(described(error)))
+
+    Thread(target=run, daemon=True).start()
     ended = False
     while not ended:
         batch = [reports.get()]

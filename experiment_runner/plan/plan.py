@@ -143,6 +143,13 @@ class TrialSpec:
         environment = joined.get((self.id, "environment")) if self.environment is None else None
         return self.id.naming(agent, environment)
 
+    def labels(self, joined: Mapping[tuple[str, str], str]) -> dict[str, str]:
+        """Return the label of each player by its role; for one from outside its name, as in `named`."""
+        roles = {"agent": self.agent, "environment": self.environment}
+        return {
+            name: role.label if role else joined.get((self.id, name), REMOTE) for name, role in roles.items()
+        }
+
     @property
     def environment_label(self) -> str:
         """The environment's label; `REMOTE` if it joins from outside."""

@@ -84,19 +84,26 @@ def file_at(path: Path) -> UserFile:
         return UserFile(digest, file.read())
 
 
+def players_of(player: RoleSpec | RoleSweep) -> list[str]:
+    """Return the name of a player, and of the opponents in its game that may not be installed."""
+    opponents = _texts_in([player.options.get("opponent", ())])
+    return [player.name, *(name for name in opponents if ":" in name)]
+
+
 def named_code(players: Sequence[RoleSpec | RoleSweep | None]) -> list[str]:
     """Return what these players name that may do harm here, without duplicates: to be trusted by the user.
 
-    These are classes that are not installed, shown by their file if they have one; files that options name,
-    such as a policy or Soar's productions, which may execute code; and addresses in options, whose owners
-    would be sent observations, and the user's key. A file whose digest is an option, too, holds data.
+    These are classes, also of opponents in games, that are not installed, shown by their file if they have
+    one; files that options name, such as a policy or Soar's productions, which may execute code; and
+    addresses in options, whose owners would be sent observations, and the user's key. A file whose digest is
+    an option, too, holds data.
     """
     known = [player for player in players if player is not None]
-    installed = {name for name in {player.name for player in known} if is_installed(name)}
+    names = {name for player in known for name in players_of(player)}
+    installed = {name for name in names if is_installed(name)}
     found: list[str] = []
     for player in known:
-        if player.name not in installed:
-            found.append(file_in(player.name) or player.name)
+        found += [file_in(name) or name for name in players_of(player) if name not in installed]
         options = player.options
         for one in _texts_in(value for name, value in options.items() if f"{name}_digest" not in options):
             if _is_file(one) or "://" in one:

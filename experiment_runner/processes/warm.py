@@ -107,7 +107,9 @@ class Fork:
             subprocess.TimeoutExpired: it did not end in time.
         """
         if self.returncode is None:
-            if not select.select([self._status], [], [], timeout)[0]:
+            ready = select.poll()  # `select.select` takes no descriptor above 1023
+            ready.register(self._status, select.POLLIN)
+            if not ready.poll(None if timeout is None else 1000 * timeout):
                 raise subprocess.TimeoutExpired(_MODULE, timeout or 0.0)
             if data := self._status.read(_NUMBER.size):
                 self.returncode = int(_NUMBER.unpack(data)[0])

@@ -75,8 +75,8 @@ def compared(a: Results, b: Results, over: str) -> list[Row]:
                 rows.append(Row(ours.label, theirs.label, stats.compare(first, second, rng)))
     if not rows:
         raise ExperimentError(
-            f"{a.directory} and {b.directory} have no trials with the same environment and seed: run both "
-            "with the same seed"
+            f"{a.directory} and {b.directory} have no trials with the same environment and seed that have "
+            "ended an episode: run both with the same seed"
         )
     return rows
 

@@ -78,34 +78,29 @@ class Layout:
         title: text above it; None for a description of what is drawn.
         size: width and height in inches; None for 6.4 and the height that the panels need.
         columns: number of panels side by side; 0 for at most two.
+        label: of the axis of values.
+        tolerance: whether the bands of curves are tolerance intervals of single trials.
     """
 
     title: str | None = None
     size: tuple[float, float] | None = None
     columns: int = 0
+    label: str = _RETURN
+    tolerance: bool = False
 
 
 _PLAIN: Final = Layout()
 
 
 def learning_curves(
-    curves: Mapping[Key, stats.FloatArray],
-    rng: np.random.Generator,
-    *,
-    window: int = 100,
-    label: str = _RETURN,
-    tolerance: bool = False,
-    layout: Layout = _PLAIN,
+    curves: Mapping[Key, stats.FloatArray], *, window: int = 100, layout: Layout = _PLAIN
 ) -> Figure:
     """Return a figure of running means over trials, each with its 95 % bootstrap band.
 
     Args:
         curves: (trials, episodes) of each. A single trial has no band, and a curve shorter than the window
             is left out.
-        rng: for resampling.
         window: episodes in the running mean; at most a tenth of the longest curve is used.
-        label: of the axis of values.
-        tolerance: whether the bands are tolerance intervals of single trials.
         layout: of the figure.
 
     Raises:
@@ -113,59 +108,48 @@ def learning_curves(
     """
     window = fitting_window(window, (values.shape[1] for values in curves.values()))
     if not any(np.isfinite(values).any() for values in curves.values()):
-        raise ExperimentError(f"there is nothing to draw: no episode has a value of {label}")
+        raise ExperimentError(f"there is nothing to draw: no episode has a value of {layout.label}")
+    rng = stats.bootstrap_rng()
     found = {key: over_episodes(values, window, rng) for key, values in curves.items()}
-    return _curves(found, window, "episode", label, tolerance, layout)
+    return _curves(found, window, "episode", layout)
 
 
 def step_curves(
-    totals: Mapping[Key, Sequence[StepTotals]],
-    rng: np.random.Generator,
-    *,
-    window: int = 0,
-    label: str = _RETURN,
-    tolerance: bool = False,
-    layout: Layout = _PLAIN,
+    totals: Mapping[Key, Sequence[StepTotals]], *, window: int = 0, layout: Layout = _PLAIN
 ) -> Figure:
     """Return a figure like that of `learning_curves`, over steps.
 
     Args:
         totals: of the trials of each. A curve with a trial shorter than the window is left out.
-        rng: for resampling.
         window: steps in the running mean; at most a tenth of the longest trial is used. 0 for a fiftieth.
-        label: of the axis of values.
-        tolerance, layout: as in `learning_curves`.
+        layout: of the figure.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
     window = step_window(window, totals.values())
+    rng = stats.bootstrap_rng()
     found = {key: over_steps(trials, window, rng) for key, trials in totals.items()}
-    return _curves(found, window, "step", label, tolerance, layout)
+    return _curves(found, window, "step", layout)
 
 
 def metric_curves(
-    readings: Mapping[Key, Sequence[tuple[stats.FloatArray, stats.FloatArray]]],
-    rng: np.random.Generator,
-    label: str,
-    tolerance: bool = False,
-    layout: Layout = _PLAIN,
+    readings: Mapping[Key, Sequence[tuple[stats.FloatArray, stats.FloatArray]]], layout: Layout
 ) -> Figure:
     """Return a figure of a metric over steps: the mean over trials, with bands as in `learning_curves`.
 
     Args:
         readings: steps and values of the trials of each.
-        rng: for resampling.
-        label: name of the metric.
-        tolerance, layout: as in `learning_curves`.
+        layout: of the figure; its label is the name of the metric.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
+    rng = stats.bootstrap_rng()
     found = {key: of_metric(trials, rng) for key, trials in readings.items()}
     if not any(found.values()):
         raise ExperimentError(_NOTHING)
-    return _curves(found, 0, "step", label, tolerance, layout)
+    return _curves(found, 0, "step", layout)
 
 
 def step_window(window: int, totals: Iterable[Sequence[StepTotals]]) -> int:
@@ -178,23 +162,21 @@ def step_window(window: int, totals: Iterable[Sequence[StepTotals]]) -> int:
     return fitting_window(window or max(lengths, default=0) // 50, lengths)
 
 
-def _curves(
-    curves: Mapping[Key, Curve | None], window: int, unit: str, label: str, tolerance: bool, layout: Layout
-) -> Figure:
+def _curves(curves: Mapping[Key, Curve | None], window: int, unit: str, layout: Layout) -> Figure:
     drawn = {key: curve for key, curve in curves.items() if curve is not None}  # others are too short yet
     with _style():
-        figure, axes_of = _environments(drawn, layout, unit, label)
+        figure, axes_of = _environments(drawn, layout, unit, layout.label)
         names = list(dict.fromkeys(name for _, name in curves))
         for (environment, name), curve in drawn.items():
             value, low, high = curve.band
-            if tolerance:
+            if layout.tolerance:
                 low, high = np.array([tolerance_interval(values) for values in curve.means.T]).T
             color, dash = _look(names.index(name))
             axes = axes_of[environment]
             axes.plot(curve.at, value, label=_marked(name, curve.means), color=color, linestyle=dash)
             axes.fill_between(curve.at, low, high, color=color, alpha=0.2, linewidth=0)
         means = f"running mean of {counted(window, unit)}" if window else "mean"
-        bands = _TOLERANCE if tolerance else "95 % bootstrap bands"
+        bands = _TOLERANCE if layout.tolerance else "95 % bootstrap bands"
         trials = [curve.means for curve in drawn.values()]
         _title(figure, f"{means} over {_trials(trials)}, with {bands}", trials, layout)
         for axes in axes_of.values():
@@ -208,7 +190,6 @@ def scatter(
     *,
     window: int = 100,
     reference: tuple[str, stats.FloatArray] | None = None,
-    label: str = _RETURN,
     layout: Layout = _PLAIN,
 ) -> Figure:
     """Return a figure with a panel for each curve: a dot for each episode of each trial, and their mean.
@@ -217,7 +198,6 @@ def scatter(
         curves: (trials, episodes) by name.
         window: episodes in the running mean; at most a tenth of the longest curve is used.
         reference: name and values, (trials, episodes), of a curve whose running mean is in every panel.
-        label: of the axis of values.
         layout: of the figure, which has no title of its own.
 
     Raises:
@@ -253,7 +233,7 @@ def scatter(
             if number + columns >= len(curves):  # no panel below
                 axes.set_xlabel("episode")
                 axes.tick_params(labelbottom=True)
-        figure.supylabel(_literal(label), fontsize="medium")
+        figure.supylabel(_literal(layout.label), fontsize="medium")
         # The dots in the panels are too faint for a legend.
         panels[0].plot([], [], ".", color=_COLORS[0], label="an episode")
         _legend_below(figure, panels[:1])
@@ -261,21 +241,14 @@ def scatter(
 
 
 def comparison(
-    environments: Mapping[str, Mapping[str, stats.FloatArray]],
-    rng: np.random.Generator,
-    *,
-    final: str,
-    label: str = _RETURN,
-    layout: Layout = _PLAIN,
+    environments: Mapping[str, Mapping[str, stats.FloatArray]], *, final: str, layout: Layout = _PLAIN
 ) -> Figure:
     """Return a figure of the final performance of each agent, with 95 % bootstrap intervals.
 
     Args:
         environments: the performance of each agent's trials, (trials,), by environment and agent. Each
             environment has a panel: values of different tasks have no common mean.
-        rng: for resampling.
         final: the part of a trial over which its performance was measured, as in `last 100 episodes`.
-        label: of the axis of values.
         layout: of the figure.
 
     Raises:
@@ -283,6 +256,7 @@ def comparison(
     """
     if not any(values.size for agents in environments.values() for values in agents.values()):
         raise ExperimentError(_NOTHING)
+    rng = stats.bootstrap_rng()
     rows = max(map(len, environments.values()))
     with _style():
         figure, panels, _ = _grid(len(environments), layout, "none", 0.4 + _ROW_HEIGHT * rows, 1)
@@ -297,21 +271,18 @@ def comparison(
             axes.grid(visible=False, axis="y")
             if environment:
                 axes.set_title(textwrap.fill(_literal(environment), _TITLE_LETTERS))
-        panels[-1].set_xlabel(_literal(label))
+        panels[-1].set_xlabel(_literal(layout.label))
         curves = [values for agents in environments.values() for values in agents.values()]
         _title(figure, f"{final} of each trial, with 95 % bootstrap intervals", curves, layout)
         _legend_below(figure, panels[:1])
     return figure
 
 
-def profiles(
-    reached: Mapping[Key, stats.FloatArray], *, label: str = _RETURN, layout: Layout = _PLAIN
-) -> Figure:
+def profiles(reached: Mapping[Key, stats.FloatArray], *, layout: Layout = _PLAIN) -> Figure:
     """Return a figure of performance profiles: the share of trials above each value.
 
     Args:
         reached: performance of the trials of each, (trials,).
-        label: of the axis of values.
         layout: of the figure.
 
     Raises:
@@ -320,7 +291,7 @@ def profiles(
     if not any(values.size for values in reached.values()):
         raise ExperimentError(_NOTHING)
     with _style():
-        figure, axes_of = _environments(reached, layout, label, "share of trials above")
+        figure, axes_of = _environments(reached, layout, layout.label, "share of trials above")
         names = list(dict.fromkeys(name for _, name in reached))
         for environment, axes in axes_of.items():
             here = {name: values for (where, name), values in reached.items() if where == environment}

@@ -75,9 +75,8 @@ def array_script(
         at_once: maximum number of tasks that run at the same time; None for no limit.
         options: further options for sbatch, as NAME or NAME=VALUE.
     """
-    quoted = (
-        _pattern(folder).replace("\\", "\\\\").replace('"', '\\"')
-    )  # a directive is read like a shell's line
+    # A directive is read like a shell's line.
+    quoted = _pattern(folder).replace("\\", "\\\\").replace('"', '\\"')
     limit = "" if at_once is None else f"%{at_once}"
     ours = [
         f"array=0-{tasks - 1}{limit}",

@@ -247,9 +247,8 @@ def _connect_to_copy(directory: Path) -> sqlite3.Connection:
             shutil.copyfile(directory / name, Path(folder, name))
         connection = sqlite3.connect(Path(folder, _DATABASE), isolation_level=None)
         try:
-            connection.execute(
-                "PRAGMA journal_mode = DELETE"
-            )  # moves what the WAL holds into the database file
+            # Moves what the WAL holds into the database file.
+            connection.execute("PRAGMA journal_mode = DELETE")
         except BaseException:
             connection.close()
             raise

@@ -225,9 +225,7 @@ COMPETITION_FILE: Final = "competition.toml"
 SOURCES: Final = "sources"  # a folder: copies of the user's files that the plan loads
 JOURNAL_FILE: Final = "journal.jsonl"  # of a competition's run: the acts of its organiser
 SEAL_FILE: Final = "seal.json"  # of a competition's run: digests of what its board shows
-TOKEN_FILE: Final = (
-    "page.token"  # of a season's run: the secret with which its page shows all to the organiser
-)
+TOKEN_FILE: Final = "page.token"  # of a season: the secret with which its page shows all to the organiser
 BOARD_FILE: Final = "board.json"  # of a bundle of a competition: its boards
 NOTES_FILE: Final = "notes.json"  # a note and tags, which the page of runs takes
 RECORDS: Final = "records"  # a folder of a competition's run: recordings of its trials
@@ -367,7 +365,7 @@ def parts_of(directory: Path) -> list[Path]:
         ExperimentError: the database of one cannot be read.
     """
     numbered = [path for path in (directory / PARTS).glob("*") if path.name.isdecimal()]
-    return [path for path in sorted(numbered, key=lambda path: int(path.name)) if _is_run(path)]
+    return [path for path in sorted(numbered, key=lambda path: int(path.name)) if is_run(path)]
 
 
 def is_part(directory: Path) -> bool:
@@ -377,10 +375,15 @@ def is_part(directory: Path) -> bool:
         ExperimentError: the database of the other run cannot be read.
     """
     folder = directory.absolute().parent
-    return folder.name == PARTS and _is_run(folder.parent)
+    return folder.name == PARTS and is_run(folder.parent)
 
 
-def _is_run(directory: Path) -> bool:
+def is_run(directory: Path) -> bool:
+    """Return whether a directory holds a run.
+
+    Raises:
+        ExperimentError: its database cannot be read.
+    """
     with reported(f"cannot read {directory}"):
         return holds_run(directory)
 

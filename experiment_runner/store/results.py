@@ -119,10 +119,6 @@ class Results(Closing):
             for episode, *values in rows
         ]
 
-    def returns(self, trial_id: str) -> npt.NDArray[np.float64]:
-        """Return the episode returns of a trial so far, shape (episodes,)."""
-        return self.measure(trial_id, "return")
-
     def measure(self, trial_id: str, name: str) -> npt.NDArray[np.float64]:
         """Return one of `MEASURES` for the episodes of a trial so far, shape (episodes,).
 

@@ -27,8 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO
 import numpy as np
 import numpy.typing as npt
 
-from experiment_runner.plan.limits import REMOTE
-from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import reported
 from experiment_runner.store.records import MEASURES, TrialRecord, known_measures
 from experiment_runner.store.results import Results
@@ -197,16 +196,7 @@ def settings_of(spec: TrialSpec, joined: Mapping[tuple[str, str], str]) -> dict[
         spec: the trial.
         joined: names of players from outside, by trial and role.
     """
-
-    def label(name: str, role: RoleSpec | None) -> str:
-        return role.label if role else joined.get((spec.id, name), REMOTE)
-
-    return {
-        "seed": spec.seed,
-        "agent": label("agent", spec.agent),
-        "environment": label("environment", spec.environment),
-        **_options(spec),
-    }
+    return {"seed": spec.seed, **spec.labels(joined), **_options(spec)}
 
 
 def write_csv(table: Table, file: TextIO) -> None:

@@ -227,6 +227,13 @@ class Store(Results):
         key = None if trial_id is None else self._key(trial_id)
         self._execute(_PUT_EVENT, time(), key, kind, text)
 
+    def record_once(self, kind: str, text: str) -> bool:
+        """Commit an event of the run unless it has the same already; return whether it is new."""
+        new = all((event.kind, event.text) != (kind, text) for event in self.events())
+        if new:
+            self.record_event(kind, text)
+        return new
+
     def record_player(self, trial_id: str, role: str, name: str, program: str | None) -> OutsidePlayer:
         """Commit, also as an event, that a player joined a trial from outside; return its record."""
         player = OutsidePlayer(time(), trial_id, role, name, program)

@@ -17,8 +17,7 @@ from typing import Any, Final, NamedTuple
 from experiment_runner.competition.board.forms import LEGEND, as_json
 from experiment_runner.competition.board.standings import standings
 from experiment_runner.competition.course import course_of
-from experiment_runner.plan.limits import REMOTE
-from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.overview import Overview, as_object, overview
 from experiment_runner.store import layout
 from experiment_runner.store.database import DATABASE_FILES
@@ -199,14 +198,13 @@ class _Rate:
 def _summary(results: Results) -> dict[str, Any]:
     joined = results.joined_players()
     specs = [trial.spec for trial in results.trials()]
-    agents = [_label(spec.agent, joined.get((spec.id, "agent"))) for spec in specs]
-    environments = [_label(spec.environment, joined.get((spec.id, "environment"))) for spec in specs]
+    labels = [spec.labels(joined) for spec in specs]
     run = overview(results)
     found = {
         **run.as_json(),
         "path": str(results.directory),
-        "agents": _some(agents),
-        "environments": _some(environments),
+        "agents": _some([label["agent"] for label in labels]),
+        "environments": _some([label["environment"] for label in labels]),
         "competition": (results.directory / layout.COMPETITION_FILE).is_file(),
     }
     if found["competition"]:
@@ -352,10 +350,6 @@ def _text(path: Path) -> str:
         return read_regular(path, _MOST_BYTES).decode("utf-8", "replace")
     except OSError:
         return ""
-
-
-def _label(role: RoleSpec | None, joined: str | None) -> str:
-    return role.label if role is not None else joined or REMOTE
 
 
 def _some(names: Sequence[str]) -> list[str]:

@@ -63,3 +63,11 @@ def test_it_learns_and_what_it_learned_can_be_saved() -> None:
 def test_tasks_of_another_shape_are_refused(spec: str) -> None:
     with pytest.raises(LocalProtocolError):
         LinearAgent().agent_init(spec)
+
+
+@pytest.mark.parametrize("numbers", [[float("nan"), 0.0], [float("inf"), 0.0]])
+def test_observed_numbers_that_have_no_cell_are_a_clear_error(numbers: list[float]) -> None:
+    agent = LinearAgent()
+    agent.agent_init(Hill().env_init())
+    with pytest.raises(LocalProtocolError, match="NaN, or infinite in spite of bounds"):
+        agent.agent_start(Observation(doubles=numbers))

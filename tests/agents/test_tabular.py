@@ -8,7 +8,7 @@ import pytest
 
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
-from glue import LocalProtocolError, local
+from glue import LocalProtocolError, Observation, local
 from tests.players import returns
 
 _SPEC = "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS {} ACTIONS {} REWARDS (0 1)"
@@ -27,6 +27,15 @@ _SPEC = "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS 
 def test_task_that_is_not_one_int_for_one_int_is_refused(task_spec: str, complaint: str) -> None:
     with pytest.raises(LocalProtocolError, match=complaint):
         SarsaAgent().agent_init(task_spec)
+
+
+def test_values_that_are_no_numbers_are_a_clear_error() -> None:
+    agent = SarsaAgent(epsilon=0.0)
+    agent.agent_init(_SPEC.format("INTS (0 0)", "INTS (0 0)"))
+    agent.agent_start(Observation(ints=[0]))
+    agent.agent_end(float("nan"))
+    with pytest.raises(LocalProtocolError, match="what was learned is NaN"):
+        agent.agent_start(Observation(ints=[0]))
 
 
 def test_the_table_learns_the_same_to_the_last_bit() -> None:

@@ -275,6 +275,8 @@ void check_legal() {
   const auto sizes = mask_sizes("OBSERVATIONS INTS (0 9) Actions DOUBLES (0 1) ints (0 1)( 2 -1 1 ) CHARCOUNT 2 REWARDS (0 1)");
   expect(sizes == std::vector<std::size_t>{2, 3, 3}, "sizes");
   expect(mask_sizes("ACTIONS INTS (0 UNSPEC) REWARDS").empty() && mask_sizes("a mirror").empty(), "unknown sizes");
+  expect(mask_sizes("ACTIONS INTS (2 -4611686018427387904 4611686018427387903) (0 7)").empty(), "sizes that overflow");
+  expect(mask_sizes("ACTIONS INTS (9223372036854775807 0 1) (9223372036854775807 0 1)").empty(), "a count that overflows");
   expect(mask_sizes("ACTIONS DOUBLES (0 1) REWARDS (0 1) EXTRA INTS (0 1)").empty(), "no ints");
   expect(mask_fault({0, 1, 0, 0, 1, 1, 0, 0}, sizes).empty() && mask_fault({}, sizes).empty(), "masks that fit");
   expect(mask_fault({0, 1, 0, 0, 0, 1, 0, 0}, sizes) == "no value of int 1 is legal", "an empty int");

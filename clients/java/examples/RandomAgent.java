@@ -35,7 +35,7 @@ final class RandomAgent implements Agent, Seedable {
 
     private record Bounds(int low, int high) {}
 
-    private static final Pattern ACTIONS = Pattern.compile("\\bACTIONS\\s+INTS((?:\\s*\\([^)]*\\))*)");
+    private static final Pattern ACTIONS = Pattern.compile("\\bACTIONS\\s+INTS((?:\\s*\\([^)]*\\))*+)");
     private static final Pattern RANGE = Pattern.compile("\\(\\s*(?:(\\d+)\\s+)?(-?\\d+)\\s+(-?\\d+)\\s*\\)");
 
     private Generator generator = new Generator(0);

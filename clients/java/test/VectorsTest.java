@@ -125,6 +125,8 @@ final class VectorsTest {
         expect(Arrays.equals(Observation.cut(all, false, true), extras.body()), "extras");
         expect(Arrays.equals(Observation.cut(all, false, false), runs.body()), "neither");
         expect(mask.legal(1) && !mask.legal(0) && !mask.legal(3) && !mask.legal(8) && runs.legal(9), "legal");
+        Observation last = runs.withMask(false, false, false, false, false, false, false, true);
+        expect(!last.legal(-1) && !last.legal(-9), "values below the first");
         expect(extras.extras().equals(Map.of("coins", 3L)), "coins");
     }
 
@@ -151,6 +153,8 @@ final class VectorsTest {
         doesNotSend("a short mask", () -> masks.checked("step", runs.withMask(true, true, true, true, true, true, true)));
         doesNotSend("one value more", () -> new Masks("ACTIONS INTS (0 1) (0 1) REWARDS")
                 .checked("step", runs.withMask(true, false, true, false, true)));
+        doesNotSend("a mask for 20000 ints", () -> new Masks("ACTIONS INTS" + " (0 1)".repeat(20_000) + " REWARDS")
+                .checked("step", runs.withMask(true)));
         for (String unknown : new String[] {"ACTIONS INTS (0 UNSPEC) REWARDS", "a mirror", "ACTIONS REWARDS EXTRA INTS (0 1)"}) {
             new Masks(unknown).checked("step", runs.withMask(false));
         }

@@ -6,6 +6,7 @@ import { ConfigError } from "./errors.js";
 import { checkGreeting, COMMAND, frameHead, GREETING, GREETING_SIZE, MessageReader, MORE, READY } from "./zmtp.js";
 
 const CHUNK = 65536;
+const MAX_PATH = 107;
 const RECONNECT_MS = 100;
 /** How long the last messages may take to leave. */
 const LINGER_MS = 1000;
@@ -152,7 +153,12 @@ export class Dealer {
 
 /** @param {string} hub @returns {net.NetConnectOpts} */
 function optionsOf(hub) {
-  if (hub.startsWith("ipc://") && hub.length > "ipc://".length) return { path: hub.slice("ipc://".length) };
+  if (hub.startsWith("ipc://") && hub.length > "ipc://".length) {
+    const path = hub.slice("ipc://".length);
+    const size = Buffer.byteLength(path);
+    if (size > MAX_PATH) throw new ConfigError(`the path of a Unix socket has at most ${MAX_PATH} bytes, and ${path} has ${size}`);
+    return { path };
+  }
   const [, host, port] = /^tcp:\/\/(\[[^\]]+\]|[^:/]+):(\d+)$/.exec(hub) ?? [];
   if (host === undefined || Number(port) < 1 || Number(port) > 65535) {
     throw new ConfigError(`the address of a hub is like tcp://127.0.0.1:4097 or ipc:///tmp/hub, not ${JSON.stringify(hub)}`);

@@ -163,8 +163,9 @@ export class Link {
     if (version !== 1) throw new ProtocolError(`version ${version} was chosen, and only 1 was offered`);
     this.maxBody = Math.min(Number(maxBody), MAX_BODY);
     this.takes = { mask: capabilities.includes("mask"), extras: capabilities.includes("extras") };
-    this.#heartbeatMs = 1000 * Math.min(Math.max(heartbeat, 0.01), 60);
-    this.#timeoutMs = Math.max(1000 * timeout, this.#heartbeatMs);
+    // What is no number becomes the least.
+    this.#heartbeatMs = heartbeat > 0.01 ? 1000 * Math.min(heartbeat, 60) : 10;
+    this.#timeoutMs = 1000 * timeout > this.#heartbeatMs ? 1000 * timeout : this.#heartbeatMs;
     clearInterval(this.#timer);
     this.#timer = setInterval(() => this.#tick(), this.#heartbeatMs);
     if (this.#waiting) this.log(`the hub at ${this.#hub} is there`);

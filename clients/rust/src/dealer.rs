@@ -16,6 +16,7 @@ const CONNECT: Duration = Duration::from_secs(5);
 /// How long the last messages may take to leave.
 const LINGER: Duration = Duration::from_secs(1);
 const SMALL: usize = 1 << 16;
+const MAX_PATH: usize = 107;
 
 enum Address {
     Tcp(Vec<SocketAddr>),
@@ -223,6 +224,11 @@ impl Dealer {
 impl Address {
     fn parse(hub: &str) -> Result<Self, Error> {
         if let Some(path) = hub.strip_prefix("ipc://").filter(|path| !path.is_empty()) {
+            let size = path.len();
+            if size > MAX_PATH {
+                let text = format!("the path of a Unix socket has at most {MAX_PATH} bytes, and {path} has {size}");
+                return Err(Error::Config(text));
+            }
             return Ok(Address::Unix(path.into()));
         }
         let malformed = || {

@@ -5,7 +5,7 @@ use std::fmt;
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Error {
-    /// An address, a session's name or the environment is wrong.
+    /// An address, a session's name, a number or the environment is wrong.
     Config(String),
     /// The program at the other end broke the protocol.
     Protocol(String),

@@ -205,6 +205,10 @@ impl<'a> Experiment<'a> {
     /// Returns the reply to a request, however often the network fails; its body is in `frames`.
     fn ask(&mut self, kind: u64, scalars: &[Scalar], body: Option<&[u8]>) -> Result<Message, Error> {
         self.link.check(body)?;
+        let beyond = |scalar: &&Scalar| matches!(scalar, Scalar::Int(value) if *value > i64::MAX as u64);
+        if let Some(Scalar::Int(value)) = scalars.iter().find(beyond) {
+            return Err(Error::Config(format!("integers are from 0 to 2^63 - 1, not {value}")));
+        }
         self.seq += 1;
         let header = encode(kind, self.link.session(), self.seq, scalars);
         if self.link.is_welcomed() {

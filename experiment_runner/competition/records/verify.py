@@ -26,6 +26,7 @@ from experiment_runner.competition.records.replay import Replay, passive_score, 
 from experiment_runner.competition.records.seal import record_verdict, reseal_verdicts, seal
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.plan.user_files import players_of
 from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.records import EpisodeResult, ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
@@ -40,6 +41,13 @@ from glue.types import Action
 
 class Mismatch(ExperimentError):
     """A record and its replay, or the database, do not agree."""
+
+
+def not_installed(results: Results) -> list[str]:
+    """Return the environments of a run, and opponents in them, that `verify` plays only if allowed."""
+    environments = (record.spec.environment for record in results.trials())
+    named = {name for one in environments if one is not None for name in players_of(one)}
+    return sorted(name for name in named if not is_installed(name))
 
 
 def verify(
@@ -57,17 +65,13 @@ def verify(
             one of the same name, wherever the organiser keeps that.
 
     Raises:
-        ConfigError: a trial is of another environment.
+        ConfigError: a trial is of another environment, or has an opponent that is neither.
         ExperimentError: a trial is of no task of the competition.
         StorageError: the run cannot be written to.
     """
     given = {without_place(name): name for name in environments}
-    trials = [record.spec for record in store.trials()]
-    known = {
-        name: name if is_installed(name) else given.get(without_place(name))
-        for name in {spec.environment.name for spec in trials if spec.environment is not None}
-    }
-    specs = [_played_by(known, spec) for spec in trials]
+    foreign = not_installed(store)
+    specs = [_played_by(given, foreign, record.spec) for record in store.trials()]
     for spec in specs:
         if spec.id.parts[1] not in steps:
             raise ExperimentError(f"{spec.id!s:.80} is of a task that {COMPETITION_FILE} does not have")
@@ -87,15 +91,18 @@ def verify(
     return problems
 
 
-def _played_by(known: Mapping[str, str | None], spec: TrialSpec) -> TrialSpec:
-    """Return a trial of the environment that is to be played by its name; None: none is."""
+def _played_by(given: Mapping[str, str], foreign: Sequence[str], spec: TrialSpec) -> TrialSpec:
+    """Return a trial of the environment that is to be played: its own, or the one given for a foreign one."""
     if (environment := spec.environment) is None:
         return spec
-    if (found := known[environment.name]) is None:
-        name = one_line(environment.name)
+    name, *opponents = players_of(environment)
+    found = given.get(without_place(name)) if name in foreign else name
+    unknown = [one for one in opponents if one in foreign and one not in given.values()]
+    if found is None or unknown:
+        what = one_line(name if found is None else unknown[0])
         raise ConfigError(
-            f"{spec.id} is of the environment {name}, which is not installed, and the run names its code: "
-            f"if you trust that, allow {name}, or your copy of its file",
+            f"{spec.id} is played with {what}, which is not installed, and the run names its code: if you "
+            f"trust that, allow {what}, or, of an environment, your copy of its file",
             settings=("environments",),
         )
     return replace(spec, environment=replace(environment, name=found))

@@ -11,6 +11,7 @@ from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records.copies import copies
 from experiment_runner.competition.records.record import record_path
 from experiment_runner.competition.records.seal import check_seal
+from experiment_runner.competition.records.verify import not_installed
 from experiment_runner.competition.season.forms import boards_as_json
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import (
@@ -26,7 +27,6 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 from glue.files import read_regular
-from glue.plugins.loading import is_installed
 
 _FILES: Final = (COMPETITION_FILE, ABOUT_FILE, JOURNAL_FILE, SEAL_FILE)
 _MOST_BYTES: Final = 2**32
@@ -36,7 +36,8 @@ def bundle(directory: Path, out: Path) -> list[str]:
     """Write a bundle of a run: its file, journal, seal, database, records, copies and boards.
 
     Returns:
-        The names of the environments that are not installed, and whose code the bundle does not hold.
+        The names of the environments and their opponents that are not installed, and whose code the bundle
+        does not hold.
 
     Raises:
         ExperimentError: the season is not closed, the run was changed since it was sealed, or a file cannot
@@ -62,7 +63,7 @@ def bundle(directory: Path, out: Path) -> list[str]:
                 write_flushed(folder / name, content)
             store.copy_to(folder)
         lock.release()
-    return sorted(name for name in {one.name for one in environments} if not is_installed(name))
+        return not_installed(store)
 
 
 def board_differs(results: Results) -> bool:

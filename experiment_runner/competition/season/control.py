@@ -255,7 +255,8 @@ def ask(directory: Path, request: Mapping[str, Any], seconds: float = 30.0) -> R
         with _short(directory) as short, socket.socket(socket.AF_UNIX) as client:
             client.settimeout(seconds)
             client.connect(short)
-            client.sendall(msgspec.json.encode(request, enc_hook=str) + b"\n")  # paths are texts
+            plain = msgspec.to_builtins(request, enc_hook=str)  # paths are texts
+            client.sendall(json.dumps(plain).encode() + b"\n")  # what is no UTF-8 is refused there
             line = client.makefile("rb").readline(_MOST_BYTES_OF_REPLY)
             if not line.endswith(b"\n"):
                 raise ConnectionError("its reply is not whole")

@@ -276,8 +276,8 @@ class Server(Matches):
 
     def _organise(self, wanted: control.Organise) -> Reply:
         acts = acts_for(wanted, self._course, (), self._now())
-        self._named |= {entrant.name: entrant for entrant, _ in wanted.admitted}
         self._record(*acts)
+        self._named |= {entrant.name: entrant for entrant, _ in wanted.admitted}
         return {"acts": [line_of(one) for one in acts]}
 
     def _enrol(self, wanted: control.Enrol) -> Reply:

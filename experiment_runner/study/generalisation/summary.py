@@ -10,16 +10,23 @@ Source: Agarwal et al. (2021), Deep reinforcement learning at the edge of the st
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
-from experiment_runner.analysis.stats import FloatArray, Statistic, bootstrap_rng, interquartile_mean, mean
+from experiment_runner.analysis.stats import (
+    Estimate,
+    FloatArray,
+    Statistic,
+    bootstrap_rng,
+    interquartile_mean,
+    mean,
+    with_interval,
+)
 from experiment_runner.report.tables import format_table, markdown_table, terminal_width
 from glue.errors import ConfigError
 
 _RESAMPLES: Final = 1000
-_TAILS: Final = (2.5, 97.5)
 _SCORES: Final = ("goal", "episode_return")
 _COLUMNS: Final = ("training", "unseen", "gap")
 _HEAD: Final = ("agent", "trials", *(f"{what}, {name}" for what in ("goal", "return") for name in _COLUMNS))
@@ -29,15 +36,7 @@ Document = dict[str, Any]
 """The scores of a benchmark, see `experiment_runner.study.generalisation.benchmark.document`."""
 
 
-class Interval(NamedTuple):
-    """A number and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
-def summarise(document: Document) -> list[Interval]:
+def summarise(document: Document) -> list[Estimate]:
     """Return the goal rate and the mean return, each on training levels, on unseen ones, and the gap."""
     trials = document["trials"]
     train, test = (
@@ -133,25 +132,21 @@ def _scores(trials: Sequence[Sequence[dict[str, Any]]], what: str) -> FloatArray
 
 def _compare(
     train: FloatArray, test: FloatArray, statistic: Statistic
-) -> tuple[Interval, Interval, Interval]:
+) -> tuple[Estimate, Estimate, Estimate]:
     rng = bootstrap_rng()
     values = [float(statistic(scores.ravel())) for scores in (train, test)]
     samples = [_samples(scores, statistic, rng) for scores in (train, test)]
     return (
-        _interval(values[0], samples[0]),
-        _interval(values[1], samples[1]),
-        _interval(values[0] - values[1], samples[0] - samples[1]),
+        with_interval(values[0], samples[0]),
+        with_interval(values[1], samples[1]),
+        with_interval(values[0] - values[1], samples[0] - samples[1]),
     )
 
 
 def estimated(scores: FloatArray, statistic: Statistic, digits: int) -> str:
     """Return a statistic of scores, shape (levels, trials), with its interval."""
     samples = _samples(scores, statistic, bootstrap_rng())
-    return _text(_interval(float(statistic(scores.ravel())), samples), digits)
-
-
-def _interval(value: float, samples: FloatArray) -> Interval:
-    return Interval(value, *np.percentile(samples, _TAILS).tolist())
+    return _text(with_interval(float(statistic(scores.ravel())), samples), digits)
 
 
 def _samples(scores: FloatArray, statistic: Statistic, rng: np.random.Generator) -> FloatArray:
@@ -168,6 +163,6 @@ def _resampled(scores: FloatArray, rng: np.random.Generator) -> FloatArray:
     return resampled
 
 
-def _text(interval: Interval, digits: int) -> str:
-    value, low, high = (f"{number:.{digits}f}" for number in interval)
+def _text(estimate: Estimate, digits: int) -> str:
+    value, low, high = (f"{number:.{digits}f}" for number in estimate)
     return f"{value} ({low} to {high})"

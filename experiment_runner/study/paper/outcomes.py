@@ -12,7 +12,7 @@ import numpy as np
 from experiment_runner.analysis import stats
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.plan.plan import RoleSpec
-from experiment_runner.store.database import holds_run, reported
+from experiment_runner.store.layout import is_run
 from experiment_runner.store.results import Results
 from experiment_runner.study.paper import experiments
 from glue.engine.local import local
@@ -129,9 +129,7 @@ def load(directory: Path) -> list[LevelResults]:
     """
     outcomes = []
     for name, experiment in experiments.EXPERIMENTS.items():
-        with reported(f"cannot read {directory / name}"):
-            begun = holds_run(directory / name)
-        if begun:
+        if is_run(directory / name):
             with Results.open(directory / name) as results:
                 found = [_outcome(experiment, setting, results) for setting in collect([results])]
             outcomes += [outcome for outcome in found if outcome.curves.size]

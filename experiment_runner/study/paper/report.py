@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+from experiment_runner.analysis.stats import FloatArray
 from experiment_runner.report.plots import learning_curves, save, scatter
 from experiment_runner.report.tables import counted
 from experiment_runner.store.database import reported
@@ -71,12 +71,9 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
 def _sections(outcomes: list[LevelResults]) -> dict[str, str]:
     """Return the tables by the marks that they follow."""
     sections = {}
-    own = [outcome for outcome in outcomes if outcome.experiment.group == ALL]
-    if own:
-        sections[BEGIN] = as_markdown(own)
-    soar = [outcome for outcome in outcomes if outcome.experiment.group == SOAR]
-    if soar:
-        sections[SOAR_BEGIN] = as_soar_markdown(soar)
+    for group, mark, write in ((ALL, BEGIN, as_markdown), (SOAR, SOAR_BEGIN, as_soar_markdown)):
+        if found := [outcome for outcome in outcomes if outcome.experiment.group == group]:
+            sections[mark] = write(found)
     return sections
 
 
@@ -137,7 +134,7 @@ def figures(outcomes: Sequence[LevelResults]) -> dict[str, Figure]:
         curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
         if curves:
             drawn[f"curves-{difficulty}"] = learning_curves(
-                {("", name): one for name, one in curves.items()}, bootstrap_rng(), window=WINDOW
+                {("", name): one for name, one in curves.items()}, window=WINDOW
             )
     best = {
         f"difficulty {o.level.difficulty}": o.curves

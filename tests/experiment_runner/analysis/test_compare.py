@@ -29,6 +29,12 @@ def test_the_difference_and_the_probability_are_those_of_their_definitions() -> 
     assert backwards.improvement.value == pytest.approx(1 - found.improvement.value)
 
 
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+def test_equal_infinite_returns_are_ties() -> None:
+    a = np.array([-np.inf, -np.inf, 1.0])
+    assert compare(a, a, np.random.default_rng(0)).improvement.value == 0.5
+
+
 def test_intervals_of_equal_agents_cover_no_difference() -> None:
     covered = 0
     for number in range(20):

@@ -355,3 +355,13 @@ def test_empty_file_of_a_recording_that_failed_is_replaced() -> None:
     Path("empty.traj").touch()
     assert invoke(*MINES, "--episodes", "1", "--record", "empty.traj").return_value == 0
     assert Path("empty.traj").stat().st_size > 0
+
+
+def test_a_run_whose_directory_was_removed_meanwhile_does_not_end_as_a_success() -> None:
+    Path("removing.py").write_text(
+        "import shutil\nfrom agents.baselines import RandomAgent\n\nclass Removing(RandomAgent):\n"
+        "    def agent_cleanup(self):\n        shutil.rmtree('run')\n"
+    )
+    command = ("--env", "mines", "--agent", "removing.py:Removing", "--episodes", "1", "--max-steps", "9")
+    with pytest.raises(ExperimentError, match="run was moved or removed during the run"):
+        raise invoke(*command, "--in-process", "--out", "run").exception or AssertionError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,19 +14,21 @@ from experiment_runner.competition.environment import RecordedEnvironment
 from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records.record import RecordFile, record_path
 from experiment_runner.competition.records.replay import made_for, recorded_run
-from experiment_runner.competition.records.seal import record_outcome
+from experiment_runner.competition.records.seal import add_trials, record_outcome
 from experiment_runner.competition.records.verify import replay_trial, verify
 from experiment_runner.competition.season.bundle import bundle
 from experiment_runner.competition.settings import parse_competition
 from experiment_runner.competition.trials import public_trial, trials
 from experiment_runner.executors.recording import run_of
-from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.plan.limits import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.layout import SOURCES, copy_of
 from experiment_runner.store.records import TrialEnd
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError
 from glue.trajectory import ActionWriter, Ending, Run
 from glue.types import Action, step_of
+from tests.experiment_runner.competition.contest import compete
 
 SECRET = b"hush"
 STAY = Action([0, 0, 0])
@@ -138,7 +141,10 @@ def test_no_code_is_loaded_because_a_run_names_it(folder: Path) -> None:
     ) as store:
         for record in store.trials():
             play(store, record.spec, Action([0]))
-    assert bundle(folder / "run", folder / "bundle") == [f"{folder}/world.py:World"]
+    (folder / "spring.toml").write_text(text)
+    told = compete(folder, "run", "spring.toml", "--out", "run", secret=SECRET.decode())
+    assert f"now: glue-compete verify run --env {folder}/world.py:World\n" in told
+    assert "glue-compete verify bundle --env world.py:World\n" in compete(folder, "bundle", "run", "bundle")
     (folder / "world.py").write_text(f"open({str(folder / 'loaded')!r}, 'w')\n{code}")
     (folder / "copy").mkdir()
     (folder / "copy" / "world.py").write_text(code)
@@ -148,6 +154,19 @@ def test_no_code_is_loaded_because_a_run_names_it(folder: Path) -> None:
                 verify(store, {"own": 0}, print, others)
         assert verify(store, {"own": 0}, print, [f"{folder}/copy/world.py:World"]) == 0
     assert not (folder / "loaded").exists()
+
+
+def test_an_opponent_is_code_that_a_run_names_too(folder: Path) -> None:
+    game = RoleSpec("pettingzoo:go_v5", {"opponent": "theirs.py:Go"})
+    with open_competition(
+        folder / "run", FILE, parse_competition(FILE, folder / "spring.toml"), SECRET
+    ) as store:
+        add_trials(store, [replace(store.trials()[0].spec, id=TrialId("alice/own/3"), environment=game)])
+        for others in [], ["elsewhere/theirs.py:Go"]:
+            with pytest.raises(ConfigError, match=r"alice/own/3 .*theirs\.py:Go, which is not inst"):
+                verify(store, {"own": 0}, print, others)
+        assert verify(store, {"own": 0}, print, ["theirs.py:Go"]) == 0
+    assert bundle(folder / "run", folder / "bundle") == ["theirs.py:Go"]
 
 
 def test_a_bundle_has_no_other_level_than_was_played(folder: Path) -> None:

@@ -289,7 +289,7 @@ def test_the_total_reward_is_the_sum_of_the_returns(tmp_path: Path) -> None:
     with open_run(tmp_path / "run", plan) as store:
         run_trials(store, RunConfig(HERE, metrics=plan.metrics), Silent())
         _, steps, totals = store.metrics(FIRST)[TOTAL_REWARD]
-        returns = store.returns(FIRST)
+        returns = store.measure(FIRST, "return")
         ends = np.cumsum(store.measure(FIRST, "steps"))
         assert steps.tolist() == list(range(1, 334))
         np.testing.assert_allclose(totals[ends.astype(int) - 1], np.cumsum(returns))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,11 +15,12 @@ from experiment_runner.analysis.stats import interquartile_mean
 from experiment_runner.executors.job import BOTH, Placement, RunConfig
 from experiment_runner.executors.search import RESULT, SEARCH, Configuration, Score, _grid, sampler_of, tune
 from experiment_runner.plan.file import dump_plan, parse_plan
-from experiment_runner.plan.plan import Plan
+from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.plan.tuning import Range, Space, TunePlan
 from experiment_runner.store.records import TUNED
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
+from glue.types import Action, Observation
 from tests.experiment_runner.executors.test_run import Silent
 from tests.system.runs import contents
 
@@ -107,7 +109,7 @@ def test_the_best_configuration_runs_again_with_other_seeds(tmp_path: Path, prun
             assert trial.spec.agent is not None
             if trial.done == 8:
                 key = str(dict(trial.spec.agent.options))
-                scores.setdefault(key, []).append(search.returns(trial.spec.id)[-2:].mean())
+                scores.setdefault(key, []).append(search.measure(trial.spec.id, "return")[-2:].mean())
         assert len(scores) < 6 if prune else len(scores) == 6
         best = max(scores, key=lambda key: float(interquartile_mean(np.array(scores[key]))))
         assert {str(one) for one in options["sarsa"]} == {best}
@@ -160,6 +162,36 @@ def test_configurations_of_players_that_cannot_save_are_pruned_and_start_over(tm
     for part in (SEARCH, RESULT):
         ours, theirs = contents(tmp_path / "forgetful" / part), contents(tmp_path / "saved" / part)
         assert {name: of[0] for name, of in ours.items()} == {name: of[0] for name, of in theirs.items()}
+
+
+class Failing(Forgetful):
+    """Fails in the second episode if epsilon is 0.2, and in the fifth if it is 0.3."""
+
+    def __init__(self, *, epsilon: float = 0.1) -> None:
+        super().__init__(epsilon=epsilon)
+        self._left = {0.2: 2, 0.3: 5}.get(epsilon, 0)
+
+    def agent_start(self, observation: Observation) -> Action:
+        self._left -= 1
+        if self._left == 0:
+            raise ValueError
+        return super().agent_start(observation)
+
+
+@pytest.mark.parametrize("number", range(1, 20, 4))
+def test_configurations_that_fail_do_not_end_a_search_or_change_one_that_is_interrupted(
+    tmp_path: Path, number: int
+) -> None:
+    values = {"failing": {"epsilon": (0.2, 0.3, 0.05, 0.1, 0.4)}}
+    search = TunePlan(values, sampler="grid", prune=True, trials=1)
+    plan = replace(PLAN, agents=(RoleSweep(f"{__file__}:Failing", {}, "failing"),), tune=search)
+    tune(tmp_path / "whole", plan, CONFIG, Silent())
+    with suppress(KeyboardInterrupt):
+        tune(tmp_path / "again", plan, CONFIG, Silent(number))
+    tune(tmp_path / "again", plan, CONFIG, Silent())
+    assert chosen(tmp_path / "again") == chosen(tmp_path / "whole")
+    for part in (SEARCH, RESULT):
+        assert contents(tmp_path / "again" / part) == contents(tmp_path / "whole" / part)
 
 
 def test_another_plan_does_not_continue_a_search(tmp_path: Path) -> None:

@@ -1,7 +1,21 @@
 from __future__ import annotations
 
-from experiment_runner.executors.job import BOTH, Job, Lost, Placement, Recorded, Report, RunConfig
-from experiment_runner.executors.workers import LocalExecutor
+from experiment_runner.executors.job import (
+    BOTH,
+    REPORTS,
+    Ended,
+    Job,
+    Line,
+    Lost,
+    Placement,
+    Recorded,
+    Report,
+    RunConfig,
+    decode,
+    encode,
+    unpack,
+)
+from experiment_runner.executors.workers import LocalExecutor, _run, _trial
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 
@@ -23,3 +37,10 @@ def test_worker_that_is_stopped_ends_an_episode_and_reports_a_checkpoint_after_i
     assert isinstance(last, Recorded)
     assert last.checkpoint is not None
     assert last.result.episode == len(reports) - 1
+
+
+def test_job_that_a_node_of_a_cluster_cannot_read_ends_with_the_reason() -> None:
+    (batch,) = _run(encode(Line("of another version")), _trial)
+    (report,) = (decode(value, REPORTS) for value in unpack(batch))
+    assert isinstance(report, Ended)
+    assert "expected Job" in (report.failure or "")

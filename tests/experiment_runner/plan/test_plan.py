@@ -303,6 +303,8 @@ def test_description_lists_every_trial_with_its_seed() -> None:
         ("mario", {"level": "FILE", "level_digest": "0"}, []),
         ("soar", {"productions": "FILE"}, ["FILE"]),
         ("sb3", {"policy": ("none.zip", "FILE")}, ["FILE"]),
+        ("pettingzoo:go_v5", {"opponent": "sarsa"}, []),
+        ("pettingzoo:go_v5", {"opponent": ("theirs.py:Go", "theirs:Go")}, ["theirs.py", "theirs:Go"]),
         ("chat", {"model": "m", "url": "https://theirs.example/v1"}, ["https://theirs.example/v1"]),
     ],
 )

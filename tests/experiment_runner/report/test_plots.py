@@ -32,16 +32,12 @@ CURVES = {("", name): values for name, values in LEARNERS.items()}
 FINAL = "last 100 episodes"
 
 
-def rng() -> np.random.Generator:
-    return np.random.default_rng(0)
-
-
 def legend_of(figure: Figure) -> list[str]:
     return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
 def test_learning_curve_is_the_running_mean_over_trials() -> None:
-    figure = plots.learning_curves(CURVES, rng(), window=20)
+    figure = plots.learning_curves(CURVES, window=20)
     (axes,) = figure.axes
     slow, quick = axes.lines
     assert legend_of(figure) == ["slow (!)", "quick (!)"]
@@ -55,7 +51,7 @@ def test_learning_curve_is_the_running_mean_over_trials() -> None:
 
 
 def test_band_holds_the_mean_and_spans_the_trials() -> None:
-    figure = plots.learning_curves({("", "slow"): LEARNERS["slow"]}, rng(), window=20)
+    figure = plots.learning_curves({("", "slow"): LEARNERS["slow"]}, window=20)
     (band,) = figure.axes[0].collections
     corners = np.asarray(band.get_paths()[0].vertices)
     at_end = corners[corners[:, 0] == 300][:, 1]
@@ -67,17 +63,17 @@ def test_band_holds_the_mean_and_spans_the_trials() -> None:
 def test_tolerance_band_is_the_interval_of_single_trials(over: str) -> None:
     values = learner(50, trials=60)
     if over == "episodes":
-        figure = plots.learning_curves({("", "a"): values}, rng(), window=20, tolerance=True)
+        figure = plots.learning_curves({("", "a"): values}, window=20, layout=plots.Layout(tolerance=True))
         last = values[:, -20:].mean(axis=1)
     elif over == "steps":
         steps = np.arange(301.0)
         trials = [StepTotals(steps, np.concatenate([[0.0], one.cumsum()])) for one in values]
-        figure = plots.step_curves({("", "a"): trials}, rng(), window=30, tolerance=True)
+        figure = plots.step_curves({("", "a"): trials}, window=30, layout=plots.Layout(tolerance=True))
         last = values[:, -30:].mean(axis=1)
     else:
         steps = np.arange(1.0, 301.0)
         figure = plots.metric_curves(
-            {("", "a"): [(steps, one) for one in values]}, rng(), "error", tolerance=True
+            {("", "a"): [(steps, one) for one in values]}, plots.Layout(label="error", tolerance=True)
         )
         last = values[:, -1]
     (band,) = figure.axes[0].collections
@@ -88,22 +84,22 @@ def test_tolerance_band_is_the_interval_of_single_trials(over: str) -> None:
 
 
 def test_window_shrinks_for_a_short_run() -> None:
-    figure = plots.learning_curves({("", "short"): learner(10, episodes=30)}, rng())
+    figure = plots.learning_curves({("", "short"): learner(10, episodes=30)})
     assert "running mean of 3 episodes" in figure.get_suptitle()
 
 
 def test_curve_shorter_than_the_window_is_left_out() -> None:
-    figure = plots.learning_curves({**CURVES, ("", "begun"): learner(10, episodes=5)}, rng(), window=20)
+    figure = plots.learning_curves({**CURVES, ("", "begun"): learner(10, episodes=5)}, window=20)
     assert legend_of(figure) == ["slow (!)", "quick (!)"]
 
 
 def test_curves_without_a_value_are_an_error() -> None:
     with pytest.raises(ExperimentError, match="explored"):
-        plots.learning_curves({("", "a"): np.full((2, 100), np.nan)}, rng(), label="explored")
+        plots.learning_curves({("", "a"): np.full((2, 100), np.nan)}, layout=plots.Layout(label="explored"))
 
 
 def test_single_trial_is_drawn_without_a_band() -> None:
-    figure = plots.learning_curves({("", "one"): learner(10, trials=1)}, rng())
+    figure = plots.learning_curves({("", "one"): learner(10, trials=1)})
     assert "over 1 trial," in figure.get_suptitle()
     assert not [path for band in figure.axes[0].collections for path in band.get_paths()]
 
@@ -130,7 +126,7 @@ def test_scatter_has_the_reference_in_every_panel() -> None:
 
 def test_comparison_marks_mean_and_interquartile_mean() -> None:
     reached = np.array([1.0, 2.0, 3.0, 10.0])
-    (axes,) = plots.comparison({"": {"a": reached, "b": reached + 5}}, rng(), final=FINAL).axes
+    (axes,) = plots.comparison({"": {"a": reached, "b": reached + 5}}, final=FINAL).axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a (!)", "b (!)"]
     marks = {
         (line.get_label(), float(np.asarray(line.get_xdata())[0]))
@@ -142,7 +138,7 @@ def test_comparison_marks_mean_and_interquartile_mean() -> None:
 
 def test_comparison_has_a_panel_with_its_own_scale_for_each_environment() -> None:
     easy, hard, long = np.full(5, 100.0), np.zeros(2), "an environment " * 9
-    figure = plots.comparison({"easy": {"a": easy, "b": easy}, long: {"a": hard}}, rng(), final=FINAL)
+    figure = plots.comparison({"easy": {"a": easy, "b": easy}, long: {"a": hard}}, final=FINAL)
     figure.draw_without_rendering()
     panels = figure.axes
     lines = [line for axes in panels for line in axes.lines if line.get_label() == "mean"]
@@ -154,32 +150,33 @@ def test_comparison_has_a_panel_with_its_own_scale_for_each_environment() -> Non
 
 def test_interval_of_few_trials_is_marked() -> None:
     few, enough = ({"": {"a": np.arange(float(n))}} for n in (4, 5))
-    assert "unreliable" in plots.comparison(few, rng(), final=FINAL).get_suptitle()
-    assert "unreliable" not in plots.comparison(enough, rng(), final=FINAL).get_suptitle()
-    assert "unreliable" in plots.learning_curves({("", "a"): np.ones((4, 3))}, rng()).get_suptitle()
+    assert "unreliable" in plots.comparison(few, final=FINAL).get_suptitle()
+    assert "unreliable" not in plots.comparison(enough, final=FINAL).get_suptitle()
+    assert "unreliable" in plots.learning_curves({("", "a"): np.ones((4, 3))}).get_suptitle()
 
 
 @pytest.mark.parametrize("name", ["_private", "$_$", "_$^$"])
 def test_a_name_of_any_characters_is_shown_as_it_is(tmp_path: Path, name: str) -> None:
     figure = plots.learning_curves(
-        {(name, name): learner(9.0, 5), (name, "b"): learner(9.0, 5)}, rng(), label=name
+        {(name, name): learner(9.0, 5), (name, "b"): learner(9.0, 5)}, layout=plots.Layout(label=name)
     )
     assert [text.strip().replace("\\$", "$") for text in legend_of(figure)] == [name, "b"]
     plots.save(figure, tmp_path / "figure.png")
     plots.save(
-        plots.comparison({name: {name: np.ones(5)}}, rng(), final=FINAL, label=name), tmp_path / "figure.png"
+        plots.comparison({name: {name: np.ones(5)}}, final=FINAL, layout=plots.Layout(label=name)),
+        tmp_path / "figure.png",
     )
-    plots.save(plots.scatter({name: learner(9.0)}, label=name), tmp_path / "figure.png")
+    plots.save(plots.scatter({name: learner(9.0)}, layout=plots.Layout(label=name)), tmp_path / "figure.png")
 
 
 @pytest.mark.parametrize("empty", [{}, {"a": np.empty((0, 0))}])
 def test_nothing_to_draw_is_an_error(empty: dict[str, FloatArray]) -> None:
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
-        plots.learning_curves({("", name): values for name, values in empty.items()}, rng())
+        plots.learning_curves({("", name): values for name, values in empty.items()})
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
         plots.scatter(empty)
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
-        plots.comparison({"": empty}, rng(), final=FINAL)
+        plots.comparison({"": empty}, final=FINAL)
 
 
 def test_each_environment_has_a_panel_with_its_own_scale_and_an_agent_one_look() -> None:
@@ -188,7 +185,7 @@ def test_each_environment_has_a_panel_with_its_own_scale_and_an_agent_one_look()
         for environment, height in (("low", 10), ("high", 900))
         for agent, trials in (("a", 5), ("b", 2))
     }
-    figure = plots.learning_curves(curves, rng(), layout=plots.Layout("Mine", (7.0, 3.0), 1))
+    figure = plots.learning_curves(curves, layout=plots.Layout("Mine", (7.0, 3.0), 1))
     low, high = figure.axes
     assert [axes.get_title(loc="left") for axes in (low, high)] == ["low", "high"]
     assert low.get_ylim()[1] < 100 < high.get_ylim()[1]
@@ -204,7 +201,7 @@ def test_figures_are_the_same_byte_for_byte(tmp_path: Path) -> None:
     for kind in ("png", "svg", "pdf"):
         one, two = (tmp_path / f"{attempt}.{kind}" for attempt in ("one", "two"))
         for path in (one, two):
-            plots.save(plots.learning_curves(CURVES, rng()), path)
+            plots.save(plots.learning_curves(CURVES), path)
         assert one.read_bytes() == two.read_bytes()
     assert xml.etree.ElementTree.fromstring((tmp_path / "one.svg").read_bytes()).tag.endswith("svg")
     with Image.open(tmp_path / "one.png") as image:
@@ -213,9 +210,9 @@ def test_figures_are_the_same_byte_for_byte(tmp_path: Path) -> None:
 
 
 def test_users_style_neither_changes_a_figure_nor_is_changed(tmp_path: Path) -> None:
-    plots.save(plots.learning_curves(CURVES, rng()), tmp_path / "plain.svg")
+    plots.save(plots.learning_curves(CURVES), tmp_path / "plain.svg")
     with mpl.rc_context({"font.size": 30, "axes.grid": False}):
-        plots.save(plots.learning_curves(CURVES, rng()), tmp_path / "styled.svg")
+        plots.save(plots.learning_curves(CURVES), tmp_path / "styled.svg")
         assert mpl.rcParams["font.size"] == 30
     assert (tmp_path / "plain.svg").read_bytes() == (tmp_path / "styled.svg").read_bytes()
 

@@ -89,7 +89,7 @@ def test_reader_sees_each_episode_as_soon_as_it_is_recorded(store: Store) -> Non
     with Results.open(store.directory) as results:
         for episode in range(1, 50):
             store.record(FIRST, result(episode))
-            assert results.returns(FIRST)[-1] == episode / 3
+            assert results.measure(FIRST, "return")[-1] == episode / 3
 
 
 def test_an_unknown_value_of_a_measure_repeats_any_other() -> None:
@@ -314,7 +314,7 @@ def test_run_of_version_1_opens_today(tmp_path: Path) -> None:
             ("random/level_seed=121/mario/0", 2, None),
             ("remote/mario/1", 0, "it raised ValueError"),
         ]
-        assert results.returns("random/level_seed=121/mario/0").tolist() == [1.5, -10.25]
+        assert results.measure("random/level_seed=121/mario/0", "return").tolist() == [1.5, -10.25]
         assert np.isnan(results.measure("random/level_seed=121/mario/0", "late")).tolist() == [True, True]
         assert results.checkpoint("random/level_seed=121/mario/0") == (2, Checkpoint(b"\x01\x02", b""))
         assert [void.why for void in results.voids()] == ["the agent was lost"]

@@ -20,6 +20,7 @@ import java.util.regex.Pattern;
 final class Dealer {
     private static final Pattern TCP = Pattern.compile("tcp://(\\[[^\\]]+\\]|[^:/]+):(\\d{1,5})");
     private static final String IPC = "ipc://";
+    private static final int MAX_PATH = 107;
     private static final long RECONNECT_MS = 100;
     private static final int CONNECT_MS = 5000;
     private static final long LINGER_MS = 1000;
@@ -243,7 +244,13 @@ final class Dealer {
 
     private static SocketAddress addressOf(String hub) {
         if (hub.startsWith(IPC) && hub.length() > IPC.length()) {
-            return UnixDomainSocketAddress.of(hub.substring(IPC.length()));
+            String path = hub.substring(IPC.length());
+            int size = Message.utf8(path).length;
+            if (size > MAX_PATH) {
+                throw new GlueException.Config("the path of a Unix socket has at most %d bytes, and %s has %d"
+                        .formatted(MAX_PATH, path, size));
+            }
+            return UnixDomainSocketAddress.of(path);
         }
         Matcher tcp = TCP.matcher(hub);
         if (!tcp.matches() || Integer.parseInt(tcp.group(2)) < 1 || Integer.parseInt(tcp.group(2)) > 65535) {

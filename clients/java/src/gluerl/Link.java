@@ -8,6 +8,7 @@ import java.util.List;
 final class Link {
     private static final long DEFAULT_HEARTBEAT_MS = 1000;
     private static final long DEFAULT_TIMEOUT_MS = 5000;
+    private static final long MAX_HEARTBEAT_MS = 60_000;
     private static final int MAX_TEXT = 1000;
     private static final String CODEC = "Java " + Runtime.version().feature();
 
@@ -156,8 +157,8 @@ final class Link {
         if (message.integer(0) != 1) {
             throw new GlueException.Protocol("version %d was chosen, and 1 was offered".formatted(message.integer(0)));
         }
-        heartbeat = (long) (1000 * Math.min(Math.max(message.real(2), 0.01), 60));
-        timeout = Math.max((long) (1000 * message.real(3)), heartbeat);
+        heartbeat = Math.min(millis(message.real(2)), MAX_HEARTBEAT_MS);
+        timeout = Math.max(millis(message.real(3)), heartbeat);
         maxBody = (int) Math.min(message.integer(4), Message.MAX_BODY);
         List<String> capabilities = message.scalars().length > 5 ? List.of((String[]) message.scalars()[5]) : List.of();
         takesMasks = capabilities.contains("mask");
@@ -184,6 +185,11 @@ final class Link {
             log("no hub answers at %s yet; waiting for one (glue-hub and glue-experiment start one)"
                     .formatted(options.hub()));
         }
+    }
+
+    /** Returns a time in which one can wait, whatever a hub says; what is no number becomes the least. */
+    private static long millis(double seconds) {
+        return seconds > 0.01 ? (long) (1000 * seconds) : 10;
     }
 
     private static boolean isSet(String variable) {

@@ -8,8 +8,9 @@ import java.util.stream.IntStream;
 
 /** The masks that a task spec has room for. */
 final class Masks {
+    /** Possessive, so that a long list of ranges is matched without recursion. */
     private static final Pattern INTS =
-            Pattern.compile("ACTIONS(?:(?!REWARDS).)*?INTS\\s*((?:\\([^)]*\\)\\s*)*)", Pattern.DOTALL);
+            Pattern.compile("ACTIONS(?:(?!REWARDS).)*?INTS\\s*((?:\\([^)]*\\)\\s*)*+)", Pattern.DOTALL);
     private static final Pattern RANGE =
             Pattern.compile("\\(\\s*(?:(\\d{1,6})\\s+)?(-?\\d{1,10})\\s+(-?\\d{1,10})\\s*\\)\\s*");
 

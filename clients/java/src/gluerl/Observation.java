@@ -67,7 +67,8 @@ public final class Observation extends AbstractType {
      * @return whether it is legal
      */
     public boolean legal(int value) {
-        return mask.length == 0 || (value / 8 < mask.length && (mask[value / 8] >> value % 8 & 1) != 0);
+        return mask.length == 0
+                || (value >= 0 && value / 8 < mask.length && (mask[value / 8] >> value % 8 & 1) != 0);
     }
 
     /**

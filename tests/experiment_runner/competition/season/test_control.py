@@ -75,6 +75,7 @@ def test_a_request_has_one_reply(door: Path) -> None:
         ({"do": "everything"}, "Invalid value 'everything'"),
         ({"do": "attempt"}, "missing required field `entrant`"),
         ({"do": "attempt", "entrant": 7}, "Expected `str`"),
+        ({"do": "attempt", "entrant": "\udcff"}, "surrogate"),
         ({"do": "status", "more": 1}, "unknown field"),
         ([], "Expected `object`"),
     ],

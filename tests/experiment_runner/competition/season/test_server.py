@@ -353,10 +353,17 @@ WALK, STAND = (f'[entrants.{name}]\ncommand = ["true"]\n' for name in ("walk", "
 
 
 @of(FILE + STAND)
-def test_entrants_of_the_file_play_by_themselves_and_have_pseudonyms(season: Season, tmp_path: Path) -> None:
+def test_entrants_of_the_file_play_by_themselves_and_have_pseudonyms(
+    season: Season, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     late = tmp_path / "late.toml"
     late.write_text(season.text + WALK)
     wish = addition(season.course, late, b"chance")
+    with monkeypatch.context() as damaged:
+        damaged.setattr("experiment_runner.competition.season.server.record_acts", None)
+        with pytest.raises(TypeError):
+            season.act("add", **wish)
+    season.turns()  # without who was not admitted
     season.act("add", **wish)
     season.turns()
     assert season.states("walk") == season.states("stand") == {1: "over"}

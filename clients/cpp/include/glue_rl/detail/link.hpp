@@ -174,9 +174,8 @@ class Link {
     // A WELCOME to an earlier HELLO may be another hub's; a second one to the same HELLO says nothing new.
     if (message.seq != greeted_ || welcomed_) return std::nullopt;
     if (message.ints[0] != 1) throw ProtocolError("a version was chosen that was not offered");
-    const double seconds = message.floats[0];
-    heartbeat_ = Milliseconds(static_cast<int>(1000 * (seconds > 0.01 ? std::min(seconds, 60.0) : 0.01)));
-    timeout_ = std::max(Milliseconds(static_cast<int>(1000 * std::clamp(message.floats[1], 0.0, 86400.0))), heartbeat_);
+    heartbeat_ = at_most(60.0, message.floats[0]);
+    timeout_ = std::max(at_most(86400.0, message.floats[1]), heartbeat_);
     max_body_ = std::min<std::uint64_t>(message.ints[1], kMaxBody);
     const auto& confirmed = message.capabilities;
     masks_ = std::find(confirmed.begin(), confirmed.end(), "mask") != confirmed.end();
@@ -185,6 +184,11 @@ class Link {
     waiting_ = false;
     welcomed_ = true;
     return message;
+  }
+
+  /// Returns a time in which one can wait, whatever a hub says; what is no number becomes the least.
+  static Milliseconds at_most(double most, double seconds) {
+    return Milliseconds(static_cast<int>(1000 * (seconds > 0.01 ? std::min(seconds, most) : 0.01)));
   }
 
   void idle() {

@@ -31,7 +31,8 @@ inline std::vector<std::size_t> mask_sizes(std::string_view task_spec) {
     if (words.size() == 2) words.insert(words.begin(), 1);
     constexpr std::int64_t kMost = 8 * kMaxBeside;
     if (!(in >> sign) || sign != ')' || words.size() != 3) return {};
-    if (words[0] < 0 || words[0] + std::int64_t(sizes.size()) > kMost || words[2] < words[1]) return {};
+    if (words[0] < 0 || words[0] > kMost - std::int64_t(sizes.size()) || words[2] < words[1]) return {};
+    if (words[1] < INT32_MIN || words[2] > INT32_MAX) return {};  // no ints of an action, and their sum might overflow
     sizes.insert(sizes.end(), words[0], std::uint64_t(words[2]) - std::uint64_t(words[1]) + 1);
   }
   return sizes;

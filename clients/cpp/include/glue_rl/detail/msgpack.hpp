@@ -29,6 +29,7 @@ class Packer {
   }
 
   Packer& integer(std::uint64_t value) {
+    if (value > kMaxInt) throw Error("integers are from 0 to 2^63 - 1, not " + std::to_string(value));
     if (value < 0x80) return byte(value);
     const int power = value < 0x100 ? 0 : value < 0x10000 ? 1 : value < 0x100000000 ? 2 : 3;
     return byte(0xcc + static_cast<unsigned>(power)).big_endian(value, 1 << power);
