@@ -26,7 +26,6 @@ _MOST: Final = 1000
 _MAX_NEAR: Final = 3
 _NEAR: Final = 0.6
 _MAX_LISTED: Final = 30
-_FORMULA: Final = ("=", "+", "-", "@")
 
 LOG: Final = logging.getLogger("glue.client")
 """Log of a hub's clients: whether the hub can be reached, and which sessions a player is in."""
@@ -60,7 +59,7 @@ def for_terminal(text: str) -> str:
 def cell(text: str) -> str:
     """Return a text for a cell of a spreadsheet, which takes it for text and not for a formula."""
     line = printable(" ".join(text.split()))
-    return f"'{line}" if line.startswith(_FORMULA) else line
+    return f"'{line}" if line.startswith(("=", "+", "-", "@")) else line
 
 
 def _shortened(line: str, most: int) -> str:

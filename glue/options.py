@@ -85,8 +85,8 @@ class Parameter:
             ConfigError: the text is not of the type, or the value is out of bounds.
         """
         try:
-            value: Value = _parse_bool(text) if self.type is bool else self.type(text)
-        except ValueError:
+            value: Value = _TRUTHS[text.lower()] if self.type is bool else self.type(text)
+        except (KeyError, ValueError):
             raise ConfigError(f"{self._called} takes {_ARTICLE[self.type]}, not {text!r:.80}") from None
         return self.check(value)
 
@@ -172,15 +172,8 @@ def parse_assignments(factory: type, assignments: Iterable[str]) -> dict[str, Va
 
 
 _ARTICLE = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
-_TRUE = {"1", "true", "yes", "on"}
-_FALSE = {"0", "false", "no", "off"}
-
-
-def _parse_bool(text: str) -> bool:
-    word = text.lower()
-    if word not in _TRUE | _FALSE:
-        raise ValueError(text)
-    return word in _TRUE
+_TRUTHS = dict.fromkeys(("1", "true", "yes", "on"), True)
+_TRUTHS |= dict.fromkeys(("0", "false", "no", "off"), False)
 
 
 def _hints(factory: type) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import os
 from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy.typing as npt
 
@@ -20,9 +20,6 @@ from glue.installed import entry_points
 if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
-
-_GROUP: Final = "glue.runs"
-_NAME: Final = "load_run"
 
 
 class RunData(Mapping[str, npt.NDArray[Any]]):
@@ -72,6 +69,6 @@ def load_run(directory: str | os.PathLike[str]) -> RunData:
         ExperimentError: the directory holds no run, or the run cannot be read.
         ConfigError: the package that reads runs is not installed.
     """
-    for entry_point in entry_points(_GROUP).select(name=_NAME):
+    for entry_point in entry_points("glue.runs").select(name="load_run"):
         return cast(RunData, entry_point.load()(directory))
     raise ConfigError("load_run needs the package experiment_runner: pip install glue-rl")

@@ -31,7 +31,6 @@ _HEAD: Final = struct.Struct("<8sII")
 _DIGEST_SIZE: Final = hashlib.sha256().digest_size
 _MAX_HEADER: Final = 1 << 16
 _MAX_SIZE: Final = 1 << 30
-_MAX_NUMBER: Final = 2**64 - 1
 _DTYPES: Final = frozenset({"<u8", "<i8", "<f8", "|i1"})
 
 _GENERATOR: Final = struct.Struct("<16s16sII")
@@ -138,7 +137,13 @@ def unpack(data: bytes, player: str, settings: Mapping[str, Setting]) -> Saved:
         saved = _read(contents[_HEAD.size :], header_size)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise SaveError(f"this save is not well formed: {error!s:.200}") from None
-    _check_origin(saved, player, settings)
+    if saved.player != player:
+        raise SaveError(f"this was saved by {saved.player!r:.80}, and cannot be loaded by {player}")
+    if saved.settings != settings:
+        options = ", ".join(f"{name}={value}" for name, value in sorted(saved.settings.items()))
+        raise SaveError(
+            f"{player} was saved with the options {options:.200}: load it into one started with the same"
+        )
     return saved
 
 
@@ -185,19 +190,9 @@ def _read(contents: bytes, header_size: int) -> Saved:
         raise ValueError(f"{len(contents) - offset} bytes after its arrays")
     numbers: dict[str, int] = header["numbers"]
     for name, number in numbers.items():
-        if type(number) is not int or not 0 <= number <= _MAX_NUMBER:
+        if type(number) is not int or not 0 <= number < 2**64:
             raise ValueError(f"number {name!r} is {number!r}")
     return Saved(str(header["agent"]), dict(header["settings"]), numbers, arrays)
-
-
-def _check_origin(saved: Saved, player: str, settings: Mapping[str, Setting]) -> None:
-    if saved.player != player:
-        raise SaveError(f"this was saved by {saved.player!r:.80}, and cannot be loaded by {player}")
-    if saved.settings != settings:
-        options = ", ".join(f"{name}={value}" for name, value in sorted(saved.settings.items()))
-        raise SaveError(
-            f"{player} was saved with the options {options:.200}: load it into one started with the same"
-        )
 
 
 def save_generator(generator: np.random.Generator) -> bytes:

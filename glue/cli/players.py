@@ -32,7 +32,6 @@ from glue.plugins.loading import construct, find, names, short_name, summaries, 
 from glue.plugins.naming import NamingCommand
 from glue.wire.messages import Role
 
-_LABEL_LETTERS: Final = 100
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 
@@ -255,7 +254,7 @@ def _help(docstring: str) -> str:
 def _label(name: str, options: Mapping[str, Value]) -> str:
     """Return the name of a player in lines and in results, as in `sarsa step_size=0.2`."""
     words = [short_name(name) or name, *(f"{option}={value}" for option, value in options.items())]
-    return textwrap.shorten(" ".join(words), _LABEL_LETTERS, placeholder="...")
+    return textwrap.shorten(" ".join(words), 100, placeholder="...")
 
 
 def _examples(role: Role, name: str, known: Mapping[str, Parameter]) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from typing import Any
 
 import gymnasium
@@ -59,11 +58,11 @@ def connect(hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, *, wait: flo
         daemon=True,
     )
     stand_in.start()
-    with ExitStack() as failed:
-        failed.callback(glue.close)  # otherwise nobody else could use the session
-        env = GlueEnv(glue)
-        failed.pop_all()
-    return env
+    try:
+        return GlueEnv(glue)
+    except BaseException:
+        glue.close()  # otherwise nobody else could use the session
+        raise
 
 
 def connect_vec(

@@ -221,11 +221,11 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
         "__init__": with_options(__init__, known),
         # Repeatability without a seed is up to its author.
         "__module__": getattr(creator, "__module__", __name__),
+        "__doc__": f"Gymnasium's {spec.id}, served to RL-Glue agents (docs/gymnasium.md).",
     }
     if not _reads_seed(creator):
         members["env_seed"] = None
-    about = f"Gymnasium's {spec.id}, served to RL-Glue agents (docs/gymnasium.md)."
-    return type(spec.id.replace("/", "-"), (GymnasiumEnvironment,), {**members, "__doc__": about})
+    return type(spec.id.replace("/", "-"), (GymnasiumEnvironment,), members)
 
 
 def _mask_codec(space: Any) -> MaskCodec:

@@ -25,7 +25,7 @@ from typing import Any, Final
 from glue.console import did_you_mean
 from glue.errors import ConfigError
 from glue.hub.config import Keys, Permit, check_session
-from glue.keys.certificates import PUBLIC, SECRET, KeyPair, decode, read_pair, read_public
+from glue.keys.certificates import PUBLIC, SECRET, decode, read_pair, read_public
 from glue.keys.files import check_directory, read_own
 from glue.wire.messages import Role
 
@@ -36,7 +36,6 @@ LIST: Final = "allow.toml"
 
 _MAX_LIST: Final = 2**20
 _FIELDS: Final = ("role", "session", "key")
-_ENDINGS: Final = (PUBLIC, ".pub")
 
 
 def read_keys(directory: Path) -> Keys:
@@ -56,10 +55,16 @@ def read_keys(directory: Path) -> Keys:
 def _read(directory: Path) -> Keys:
     from glue.wire.curve import public_key  # needs an extra
 
-    pair = _own_pair(directory)
+    own = directory / f"{HUB}{SECRET}"
+    if not own.exists():
+        raise ConfigError(
+            f"there is no {own}, the hub's own key: make it in {directory} with glue-keys new {HUB}",
+            settings=("keys",),
+        )
+    pair = read_pair(own)
     check_directory(directory)
     if public_key(pair.secret) != pair.public:
-        raise ConfigError(f"{directory / HUB}{SECRET} is damaged: its two keys do not belong together")
+        raise ConfigError(f"{own} is damaged: its two keys do not belong together")
     text = _read_list(directory / LIST)
     try:
         document = tomllib.loads(text)
@@ -78,16 +83,6 @@ def _read(directory: Path) -> Keys:
             )
         permits[key] = permit
     return Keys(pair.secret, permits)
-
-
-def _own_pair(directory: Path) -> KeyPair:
-    path = directory / f"{HUB}{SECRET}"
-    if not path.exists():
-        raise ConfigError(
-            f"there is no {path}, the hub's own key: make it in {directory} with glue-keys new {HUB}",
-            settings=("keys",),
-        )
-    return read_pair(path)
 
 
 def _read_list(path: Path) -> str:
@@ -144,7 +139,7 @@ def _words(table: Mapping[str, Any], field: str) -> list[str]:
 def _key(directory: Path, name: str, table: Mapping[str, Any]) -> bytes:
     given = table.get("key")
     if given is None:
-        for ending in _ENDINGS:
+        for ending in (PUBLIC, ".pub"):
             path = directory / f"{name}{ending}"
             if path.exists():
                 return read_public(path)

@@ -30,8 +30,6 @@ _SIGN_BIT: Final = 0x80
 _HASH_1: Final = b"\xfe" + 31 * b"\xff"
 """Prefix that separates the hash of a signature's nonce from all other hashes."""
 
-_SIGNATURE: Final = 64
-
 
 def sign(secret: bytes, message: bytes) -> bytes:
     """Return the signature of a message, 64 bytes.
@@ -64,7 +62,7 @@ def is_signed(public: bytes, message: bytes, signature: bytes) -> bool:
         signature: the signature, from an untrusted source: any length.
     """
     u = int.from_bytes(public, "little")
-    if len(signature) != _SIGNATURE or u >= _PRIME - 1:
+    if len(signature) != 64 or u >= _PRIME - 1:
         return False
     y = (u - 1) * pow(u + 1, -1, _PRIME) % _PRIME
     try:

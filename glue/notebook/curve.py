@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 from glue.engine.experiment import Experiment
 from glue.installed import needing
@@ -34,7 +34,9 @@ def run_live(
         ConfigError: this is not a notebook: IPython is not installed.
         GlueError: raised by the verbs of the experiment.
     """
-    handle = _display()
+    with needing("notebooks", "run_live draws in a notebook"):
+        display = importlib.import_module("IPython.display")
+    handle = display.display(display.HTML(""), display_id=True) or display.DisplayHandle()
     experiment.rl_init(seed=seed)
     returns: list[float] = []
     drawn = clock.monotonic()
@@ -43,8 +45,8 @@ def run_live(
         returns.append(experiment.rl_return())
         if clock.monotonic() - drawn > _SECONDS:
             drawn = clock.monotonic()
-            handle.update(_drawing(returns, episodes))
-    handle.update(_drawing(returns, episodes))
+            handle.update(display.HTML(draw_curve(returns, episodes)))
+    handle.update(display.HTML(draw_curve(returns, episodes)))
     return returns
 
 
@@ -84,13 +86,3 @@ def draw_curve(returns: Sequence[float], episodes: int, window: int = 0) -> str:
         f'<text x="{_MARGIN}" y="{_HEIGHT - 12}">1</text>'
         f'<text x="{_WIDTH - _MARGIN}" y="{_HEIGHT - 12}" text-anchor="end">{episodes}</text></svg>'
     )
-
-
-def _drawing(returns: Sequence[float], episodes: int) -> Any:
-    return importlib.import_module("IPython.display").HTML(draw_curve(returns, episodes))
-
-
-def _display() -> Any:
-    with needing("notebooks", "run_live draws in a notebook"):
-        display = importlib.import_module("IPython.display")
-    return display.display(display.HTML(""), display_id=True) or display.DisplayHandle()

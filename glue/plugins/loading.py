@@ -304,13 +304,11 @@ def _spec(module: str) -> ModuleSpec | None:
 def _import(module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        if error.name is not None and (module == error.name or module.startswith(error.name + ".")):
-            raise ConfigError(f"there is no module {module!r} here") from None
-        raise ConfigError(_broken(module, error)) from error
     except ConfigError:
         raise  # its message says what it needs
     except (Exception, SystemExit) as error:
+        if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}."):
+            raise ConfigError(f"there is no module {module!r} here") from None
         raise ConfigError(_broken(module, error)) from error
 
 

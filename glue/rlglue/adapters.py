@@ -27,7 +27,6 @@ from glue.roles import Agent, Environment
 from glue.types import AbstractType, Action, Observation, Step, arrays_of
 
 _SEED: Final = "seed"
-_UNSTATED: Final = "VERSION rlglue"
 _TaskSpec = Annotated[str, Option("the task spec, if the environment has none")]
 
 
@@ -83,7 +82,7 @@ class EnvironmentAdapter(Adapter):
 
     def __init__(self, *, task_spec: str = "", **options: Any) -> None:
         super().__init__(**options)
-        self._task_spec = task_spec or _UNSTATED
+        self._task_spec = task_spec or "VERSION rlglue"
 
 
 def adapted(adapter: type[Adapter], source: type) -> type[Adapter]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final, Self
 
@@ -68,7 +68,7 @@ class Range:
         return low <= number <= high
 
     def __str__(self) -> str:
-        return _range_text(1, self, _double_text)
+        return _range_text(1, self, float)
 
 
 Run = tuple[int, Range]
@@ -187,10 +187,15 @@ class Space:
         if not self.stated:
             return None
         if value.counts != self.counts:
-            return _wrong_counts(self.counts, value.counts)
+            kinds = zip(("ints", "doubles", "chars"), self.counts, value.counts, strict=True)
+            return "; ".join(
+                f"{kind}: {right} expected, {count} received"
+                for kind, right, count in kinds
+                if right != count
+            )
         ints, doubles, _ = self.counts
         if ints and (index := self.ints.first_outside(value.ints)) is not None:
-            return f"int {index} is {value.ints[index]}, not in {_range_text(1, self.ints[index], _int_text)}"
+            return f"int {index} is {value.ints[index]}, not in {_range_text(1, self.ints[index], int)}"
         if doubles and (index := self.doubles.first_outside(value.doubles)) is not None:
             return f"double {index} is {value.doubles[index]}, not in {self.doubles[index]}"
         return None
@@ -233,9 +238,9 @@ class Space:
     def __str__(self) -> str:
         parts = []
         if self.ints:
-            parts += ["INTS", _ranges_text(self.ints, _int_text)]
+            parts += ["INTS", _ranges_text(self.ints, int)]
         if self.doubles:
-            parts += ["DOUBLES", _ranges_text(self.doubles, _double_text)]
+            parts += ["DOUBLES", _ranges_text(self.doubles, float)]
         if self.chars:
             parts += ["CHARCOUNT", str(self.chars)]
         return " ".join(parts)
@@ -266,14 +271,6 @@ def _is_int32(bound: float) -> bool:
     return isinstance(bound, (int, np.integer)) and INT32_MIN <= bound <= INT32_MAX
 
 
-def _wrong_counts(expected: tuple[int, int, int], received: tuple[int, int, int]) -> str:
-    return "; ".join(
-        f"{name}: {right} expected, {count} received"
-        for name, right, count in zip(("ints", "doubles", "chars"), expected, received, strict=True)
-        if right != count
-    )
-
-
 def window(range_: Range, least: float, largest: float) -> tuple[float, float]:
     """Return finite bounds, both from `least` to `largest`, between which to draw a number of `range_`."""
     low, high = range_.ends
@@ -286,15 +283,8 @@ def window(range_: Range, least: float, largest: float) -> tuple[float, float]:
     return max(low, least), min(high, largest)
 
 
-def _int_text(bound: float) -> str:
-    return str(int(bound))
-
-
-def _double_text(bound: float) -> str:
-    return repr(float(bound))
-
-
-def _range_text(repeat: int, range_: Range, number: Callable[[float], str]) -> str:
+def _range_text(repeat: int, range_: Range, number: type[float]) -> str:
+    """Return a range as in a task spec, with bounds written as `number`s: int or float."""
     texts = []
     for bound in (range_.low, range_.high):
         if bound is UNSPEC:
@@ -302,9 +292,9 @@ def _range_text(repeat: int, range_: Range, number: Callable[[float], str]) -> s
         elif math.isinf(bound):
             texts.append("NEGINF" if bound < 0 else "POSINF")
         else:
-            texts.append(number(bound))
+            texts.append(repr(number(bound)))
     return f"({' '.join(texts if repeat == 1 else [str(repeat), *texts])})"
 
 
-def _ranges_text(ranges: Ranges, number: Callable[[float], str]) -> str:
+def _ranges_text(ranges: Ranges, number: type[float]) -> str:
     return " ".join(_range_text(repeat, range_, number) for repeat, range_ in ranges.runs)

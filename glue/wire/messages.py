@@ -224,7 +224,6 @@ _OBSERVATION = Shape(body=Body.OBSERVATION)
 _ACTION = Shape(body=Body.ACTION)
 _TEXT = Shape(body=Body.TEXT)
 _BLOB = Shape(body=Body.BLOB)
-_REWARD_OBSERVATION = Shape((_REWARD,), Body.OBSERVATION)
 _ENV_STEP_REPLY = Shape((_REWARD, _TERMINAL), Body.OBSERVATION)
 _SEED = Shape((Scalar("seed", int),))
 _RETURN = Scalar("return", float)
@@ -269,7 +268,7 @@ CALLS: Final[Mapping[Kind, Call]] = MappingProxyType(
         Kind.RL_ENV_START: Call(None, _EMPTY, _OBSERVATION),
         Kind.RL_ENV_STEP: Call(None, _ACTION, _ENV_STEP_REPLY),
         Kind.RL_AGENT_START: Call(None, _OBSERVATION, _ACTION),
-        Kind.RL_AGENT_STEP: Call(None, _REWARD_OBSERVATION, _ACTION),
+        Kind.RL_AGENT_STEP: Call(None, Shape((_REWARD,), Body.OBSERVATION), _ACTION),
         Kind.RL_AGENT_END: Call(None, Shape((_REWARD,)), _EMPTY),
         Kind.RL_AGENT_SAVE: Call(None, _EMPTY, _BLOB),
         Kind.RL_AGENT_LOAD: Call(None, _BLOB, _EMPTY),
@@ -318,8 +317,7 @@ OBSERVING: Final[Mapping[Kind, Shape]] = MappingProxyType(
         Kind.OBSERVED_INIT: _TEXT,
         Kind.OBSERVED_START: Shape((Scalar("episode", int),), Body.OBSERVATION),
         Kind.OBSERVED_STEP: Shape(
-            (Scalar("episode", int), _NUM_STEPS, _RETURN, _REWARD, _TERMINAL),
-            Body.OBSERVATION_ACTION,
+            (Scalar("episode", int), _NUM_STEPS, _RETURN, _REWARD, _TERMINAL), Body.OBSERVATION_ACTION
         ),
         Kind.OBSERVED_MESSAGE: Shape((Scalar("message", str),), Body.TEXT),
     }

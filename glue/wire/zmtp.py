@@ -96,11 +96,9 @@ def _name(name: bytes) -> bytes:
     return bytes((len(name),)) + name
 
 
-def _property(name: bytes, value: bytes) -> bytes:
-    return _name(name) + struct.pack(">I", len(value)) + value
-
-
-_METADATA: Final = {own: _property(b"Socket-Type", own) for own in (DEALER, ROUTER)}
+_METADATA: Final = {
+    own: _name(b"Socket-Type") + struct.pack(">I", len(own)) + own for own in (DEALER, ROUTER)
+}
 _READY: Final = {own: _command(_name(b"READY") + metadata) for own, metadata in _METADATA.items()}
 _PARTNER: Final = {DEALER: ROUTER, ROUTER: DEALER}
 

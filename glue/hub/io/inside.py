@@ -168,10 +168,7 @@ class _InsidePlayer:
     """
 
     def __init__(
-        self,
-        role: Role,
-        player: AgentLike | EnvironmentLike,
-        calls: deque[tuple[_InsidePlayer, Message]],
+        self, role: Role, player: AgentLike | EnvironmentLike, calls: deque[tuple[_InsidePlayer, Message]]
     ) -> None:
         self._role = role
         self._player = ServedPlayer(role, player)
