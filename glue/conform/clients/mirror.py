@@ -51,9 +51,6 @@ class _Mirror:
             raise RuntimeError(FAILURE)
         return message
 
-    def reseed(self, seed: int) -> None:
-        self.seed = seed
-
     def save(self) -> bytes:
         return f"{self.count} {self.seed}".encode()
 
@@ -91,10 +88,18 @@ class MirrorAgent(_Mirror, Agent):
     def agent_end(self, reward: float) -> None:
         self.count += 1
 
-    agent_message = _Mirror.message
-    agent_seed = _Mirror.reseed
-    agent_save = _Mirror.save
-    agent_load = _Mirror.load
+    # Written out, as no type checker knows the types of an attribute of two bases.
+    def agent_message(self, message: str) -> str:
+        return self.message(message)
+
+    def agent_save(self) -> bytes:
+        return self.save()
+
+    def agent_load(self, saved: bytes) -> None:
+        self.load(saved)
+
+    def agent_seed(self, seed: int) -> None:
+        self.seed = seed
 
     def agent_metrics(self) -> dict[str, float]:
         return {"count": float(self.count), "half the count": self.count / 2}
@@ -135,10 +140,18 @@ class MirrorEnvironment(_Mirror, Environment):
             },
         }
 
-    env_message = _Mirror.message
-    env_seed = _Mirror.reseed
-    env_save = _Mirror.save
-    env_load = _Mirror.load
+    # Written out, as no type checker knows the types of an attribute of two bases.
+    def env_message(self, message: str) -> str:
+        return self.message(message)
+
+    def env_save(self) -> bytes:
+        return self.save()
+
+    def env_load(self, saved: bytes) -> None:
+        self.load(saved)
+
+    def env_seed(self, seed: int) -> None:
+        self.seed = seed
 
 
 def shown(value: AbstractType) -> tuple[list[int], list[float], bytes]:
