@@ -208,15 +208,18 @@ def find(role: Role, name: str) -> type:
     return _class_of(module, attribute, source)
 
 
+def _adapter_names() -> set[str]:
+    return {point.name for group in _ADAPTERS.values() for point in entry_points(group)}
+
+
 def is_installed(name: str) -> bool:
     """Return whether a name leads to installed players alone: one of ours, or `adapter:NAME` of one word.
 
     Any other may lead to code of whoever wrote the name, as `module:Class` to a file in this folder.
     """
     prefix, _, rest = name.partition(":")
-    adapters = {point.name for group in _ADAPTERS.values() for point in entry_points(group)}
     return any(name in names(role) for role in _GROUPS) or (
-        prefix in adapters and _WORD.fullmatch(rest) is not None
+        prefix in _adapter_names() and _WORD.fullmatch(rest) is not None
     )
 
 
@@ -233,8 +236,7 @@ def file_in(name: str) -> str:
     prefix, colon, rest = source.partition(":")
     if not colon:
         return source
-    adapters = {point.name for group in _ADAPTERS.values() for point in entry_points(group)}
-    return rest if prefix in adapters else source
+    return rest if prefix in _adapter_names() else source
 
 
 def located(name: str, folder: Path) -> str:
