@@ -157,17 +157,18 @@ class LinearAgent(Agent):
             tiles * ((number - low) * scale if scale else 0.5 + math.atan(number) / math.pi)
             for number, (low, scale) in zip(numbers, self._scales, strict=True)
         ]
-        if not all(map(math.isfinite, places)):
+        cells = []
+        try:
+            for tiling in range(tilings):
+                cell = tiling
+                for i, place in enumerate(places):
+                    # The numbers are shifted by 1, 3, 5... parts, as in Sutton and Barto.
+                    cell = cell * (tiles + 2) + int(place + tiling * (2 * i + 1) % tilings / tilings)
+                cells.append(cell * self._num_actions)
+        except (ValueError, OverflowError):  # of `int`
             raise LocalProtocolError(
                 f"{numbers} were observed: a number is NaN, or infinite in spite of bounds"
-            )
-        cells = []
-        for tiling in range(tilings):
-            cell = tiling
-            for i, place in enumerate(places):
-                # The numbers are shifted by 1, 3, 5... parts, as in Sutton and Barto.
-                cell = cell * (tiles + 2) + int(place + tiling * (2 * i + 1) % tilings / tilings)
-            cells.append(cell * self._num_actions)
+            ) from None
         return cells
 
     def _learn(self, target: float) -> None:
