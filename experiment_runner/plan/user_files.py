@@ -91,7 +91,7 @@ def players_of(player: RoleSpec | RoleSweep) -> list[str]:
 
 
 def named_code(players: Sequence[RoleSpec | RoleSweep | None]) -> list[str]:
-    """Return what these players name that may do harm here, without duplicates: to be trusted by the user.
+    """Return the classes, files and addresses of these players that may do harm here, without duplicates.
 
     These are classes, also of opponents in games, that are not installed, shown by their file if they have
     one; files that options name, such as a policy or Soar's productions, which may execute code; and
