@@ -122,7 +122,7 @@ def _player_option(flag: str, role: Role) -> Callable[[_Command], _Command]:
     "plan_file",
     type=shared.FILE,
     metavar="FILE",
-    help="Plan in TOML; the five numbers above override it.",
+    help="Plan in TOML; other options override its settings.",
 )
 @shared.pace_options
 @click.option("--in-process", is_flag=True, help="Players as objects, without a hub: fastest.")
