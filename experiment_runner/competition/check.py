@@ -11,10 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from experiment_runner.competition.launching import launcher_for, name_of_run
 from experiment_runner.competition.match import Forfeited, Match, Used
 from experiment_runner.competition.organiser import check, matches
 from experiment_runner.competition.settings import Competition, Entrant, Limits
-from experiment_runner.competition.starters import name_of_run, starter_for
 from experiment_runner.competition.trials import public_trial, trials
 from experiment_runner.competition.worker import executor
 from experiment_runner.executors.job import Ended, Lost, Recorded
@@ -80,9 +80,9 @@ def _checked(
     try:
         if entrant.key is not None:
             raise ConfigError("not tried: it joins from elsewhere, with its key")
-        starter = starter_for(entrant)
-        found = replace(entrant, id=starter.check(entrant, limits))
-        starter.sweep(run)
+        launcher = launcher_for(entrant)
+        found = replace(entrant, id=launcher.check(entrant, limits))
+        launcher.sweep(run)
     except (ConfigError, ExperimentError) as error:
         return str(error), [*lines, "", str(error), "", ends]
     first = None
@@ -130,7 +130,7 @@ def try_entrant(competition: Competition, entrant: Entrant, folder: Path, say: C
     found = replace(entrant, id=check(entrant, competition.limits))
     competition = replace(competition, entrants=(found,))
     made = matches(competition, trials(competition, _AT_HOME), folder)
-    starter_for(found).sweep(made[0].run)
+    launcher_for(found).sweep(made[0].run)
     failed = 0
     with executor(1, competition.tasks) as workers:
         for match in made:

@@ -26,9 +26,9 @@ from urllib3.exceptions import HTTPError
 
 import docker
 from experiment_runner.competition.jail import LABEL, check_engine, check_image, check_limits, jail, own_user
+from experiment_runner.competition.launching import SOCKET, Launch, Launcher, Running
 from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starters import SOCKET, Launch, Running, Starter
 from experiment_runner.competition.usage import ControlGroup
 from experiment_runner.processes.children import spawn
 from experiment_runner.store.layout import write_flushed
@@ -77,7 +77,7 @@ class _Unreachable(ConfigError):
     """No engine answers."""
 
 
-class Containers(Starter):
+class Containers(Launcher):
     """Starts entrants that have an image."""
 
     def check(self, entrant: Entrant, limits: Limits) -> str:

@@ -15,8 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
+from experiment_runner.competition.launching import SOCKET, Launch, variables
 from experiment_runner.competition.settings import Limits
-from experiment_runner.competition.starters import SOCKET, Launch, variables
 from glue.errors import ConfigError, ExperimentError
 
 LABEL: Final = "glue.competition"

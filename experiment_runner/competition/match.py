@@ -1,7 +1,7 @@
 """One entrant plays one trial of a task, in a worker process with its own hub.
 
 Workers are forked, see `experiment_runner.processes.warm` and `experiment_runner.competition.worker`.
-Environment and hub are in this process; the entrant's program, which the starter starts, can reach only the
+Environment and hub are in this process; the entrant's program, which the launcher starts, can reach only the
 socket that it is launched with.
 """
 
@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from experiment_runner.competition.environment import RecordedEnvironment
+from experiment_runner.competition.launching import Launch, Launcher, Running, gate_for
 from experiment_runner.competition.records.replay import made_for
 from experiment_runner.competition.settings import Entrant, Gate, Limits
-from experiment_runner.competition.starters import Launch, Running, Starter, gate_for
 from experiment_runner.competition.trials import agent_seed
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.plan.plan import TrialSpec
@@ -120,7 +120,7 @@ class _Unfinished(ExperimentError):
 def play(
     match: Match,
     send: Callable[[Report], None],
-    starter: Starter,
+    launcher: Launcher,
     *,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
@@ -130,11 +130,11 @@ def play(
     Args:
         match: the match.
         send: receives the reports.
-        starter: starts the entrant.
+        launcher: starts the entrant.
         clock: returns seconds; measures the entrant's time.
     """
     try:
-        why = _Playing(match, send, clock).play(starter)
+        why = _Playing(match, send, clock).play(launcher)
         if why is not None:
             send(Forfeited(one_line(why, _MAX_REASON) or "no reason was given"))
         send(Ended(None))
@@ -160,7 +160,7 @@ class _Playing:
         self._joined = threading.Event()
         self._over = threading.Event()
 
-    def play(self, starter: Starter) -> str | None:
+    def play(self, launcher: Launcher) -> str | None:
         """Play; return why the entrant forfeits, or None."""
         match = self._match
         if match.absent:
@@ -185,7 +185,7 @@ class _Playing:
                 self._environment.num_late = partial(hub.sessions.num_late, session)
                 transport = InsideTransport(hub, {Role.ENVIRONMENT: self._environment}, session)
                 glue = joined.enter_context(connect_over(transport, session, on_notice=self._notice))
-                running = self._running = starter.start(match.entrant, match.limits, launch)
+                running = self._running = launcher.start(match.entrant, match.limits, launch)
                 stack.callback(running.stop)
                 joined.callback(self._over.set)
                 threading.Thread(

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from experiment_runner.competition.course import Course, course_of
+from experiment_runner.competition.launching import gate_for, launcher_for, name_of_run
 from experiment_runner.competition.match import Forfeited, Match, Piece
 from experiment_runner.competition.records.copies import copies
 from experiment_runner.competition.records.journal import ENTER, EVERYBODY, Act, act, text_of
@@ -35,7 +36,6 @@ from experiment_runner.competition.records.seal import (
     seal,
 )
 from experiment_runner.competition.settings import Competition, Entrant, Gate, Limits
-from experiment_runner.competition.starters import gate_for, name_of_run, starter_for
 from experiment_runner.competition.trials import levels, pseudonym
 from experiment_runner.competition.worker import executor
 from experiment_runner.executors.dispatcher import Dispatcher
@@ -155,7 +155,7 @@ def check(entrant: Entrant, limits: Limits) -> str:
         ConfigError: it cannot; the message names it.
     """
     try:
-        return starter_for(entrant).check(entrant, limits)
+        return launcher_for(entrant).check(entrant, limits)
     except ConfigError as error:
         raise ConfigError(f"entrant {entrant.name}: {error}", settings=error.settings) from None
 
@@ -337,7 +337,7 @@ class Held(Matches):
             check(match.entrant, match.limits)
             if match.entrant.key is not None:
                 gate_for(match.entrant, match.gate)
-            starter_for(match.entrant).sweep(match.run)
+            launcher_for(match.entrant).sweep(match.run)
         for who, why in self._paused.items():
             self._say(f"{who} is paused: {why}; glue-compete resume {self._store.directory} ends that")
 

@@ -2,7 +2,7 @@
 
     python -P -m experiment_runner.competition.remover SOCKET CONTAINER
 
-SOCKET is the container engine's. A starter that removes the container itself kills this process.
+SOCKET is the container engine's. A launcher that removes the container itself kills this process.
 """
 
 from __future__ import annotations

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self, get_args
 
+from experiment_runner.competition.launching import launcher_for
 from experiment_runner.competition.match import Match, Report, play
 from experiment_runner.competition.records.verify import judge
 from experiment_runner.competition.settings import Competition, Task
-from experiment_runner.competition.starters import starter_for
 from experiment_runner.executors.dispatcher import Executor
 from experiment_runner.executors.job import Ended, Lost, decode
 from experiment_runner.executors.workers import LocalExecutor, RayExecutor, serve
@@ -60,7 +60,7 @@ def work(value: Any, send: Callable[[object], None]) -> None:
     """Play the trial of a `Match`, or verify that of a `Replay`; see `decode`."""
     match decode(value, {Match.__name__: Match, Replay.__name__: Replay}):
         case Match() as job:
-            play(job, send, starter_for(job.entrant))
+            play(job, send, launcher_for(job.entrant))
         case Replay() as job:
             with Results.open(job.directory) as results:
                 send(judge(results, job.spec, job.outcome, job.steps))

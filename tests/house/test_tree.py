@@ -84,7 +84,7 @@ HOMES: Final[Mapping[str, Sequence[str]]] = {
             "agents/language/chat.py",  # the key of an endpoint, which no record may hold
             "env_server/gym/rendering.py",  # is there a screen?
             "experiment_runner/competition/containers.py",  # DOCKER_HOST
-            "experiment_runner/competition/starters.py",  # passes it on
+            "experiment_runner/competition/launching.py",  # passes it on
             "experiment_runner/processes/children.py",  # PYTHONBREAKPOINT
             "glue/client/target.py",  # documented to read GLUE_HUB and others
             "glue/conform/clients/process.py",  # passes it on

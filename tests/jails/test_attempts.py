@@ -14,8 +14,8 @@ import pytest
 
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.jail import LABEL
+from experiment_runner.competition.launching import name_of_run
 from experiment_runner.competition.season.control import NoServer, ask
-from experiment_runner.competition.starters import name_of_run
 from experiment_runner.competition.state import Enrolled
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError

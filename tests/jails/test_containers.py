@@ -17,8 +17,8 @@ import pytest
 
 from experiment_runner.competition.containers import Container, Containers
 from experiment_runner.competition.jail import LABEL
+from experiment_runner.competition.launching import SOCKET, Launch
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starters import SOCKET, Launch
 from glue.errors import ConfigError
 from tests.system.runs import wait_until
 
@@ -143,7 +143,7 @@ import sys, time
 from pathlib import Path
 from experiment_runner.competition.containers import Containers
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starters import Launch
+from experiment_runner.competition.launching import Launch
 
 image, folder, run = sys.argv[1:]
 Containers().start(Entrant("alice", image=image), Limits(), Launch(Path(folder), "s", Path("log"), run))

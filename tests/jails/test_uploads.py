@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from experiment_runner.competition.containers import Containers
+from experiment_runner.competition.launching import name_of_run
 from experiment_runner.competition.season.images import MODULE
-from experiment_runner.competition.starters import name_of_run
 
 
 def uploaded(path: Path, most: int = 2**30) -> dict[str, str]:

@@ -33,8 +33,8 @@ from typing import IO, Any, BinaryIO, Final, Self, cast
 
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.jail import check_image
+from experiment_runner.competition.launching import name_of_run
 from experiment_runner.competition.records.journal import utc_now
-from experiment_runner.competition.starters import name_of_run
 from glue.console import one_line
 from glue.errors import ConfigError, GlueError
 

@@ -25,6 +25,7 @@ from typing import Any, Final
 
 from experiment_runner.competition.board.forms import line_of
 from experiment_runner.competition.course import course_of, entrant_of
+from experiment_runner.competition.launching import launcher_for, name_of_run, no_gate
 from experiment_runner.competition.match import NOT_CONNECTED, Match
 from experiment_runner.competition.organiser import Matches, Say, matches
 from experiment_runner.competition.records import journal
@@ -37,7 +38,6 @@ from experiment_runner.competition.season.board import PUBLIC as ANYBODY
 from experiment_runner.competition.season.board import Boards, EntrantRow
 from experiment_runner.competition.season.control import Door, Reply, Request
 from experiment_runner.competition.settings import Competition, Entrant, Gate
-from experiment_runner.competition.starters import name_of_run, no_gate, starter_for
 from experiment_runner.competition.state import IMAGE_ID, Attempt, Enrolled
 from experiment_runner.competition.trials import attempt_trials, derived, levels, pseudonym
 from experiment_runner.competition.worker import Replay
@@ -234,7 +234,7 @@ class Server(Matches):
         """Go on with the attempts that were played when the server before this one ended."""
         super().begin(dispatcher)
         for name in self._named:
-            starter_for(self._player(self._state.entrants[name].present)).sweep(name_of_run(self._directory))
+            launcher_for(self._player(self._state.entrants[name].present)).sweep(name_of_run(self._directory))
         outcomes, verdicts = self._store.outcomes(), self._store.verdicts()
         for one in self._state.attempts("playing"):
             assert one.start is not None

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from env_server.toys import MinesEnvironment
+from experiment_runner.competition.launching import Launch, Launcher, Running
 from experiment_runner.competition.match import Forfeited, Match, Piece, play
 from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
-from experiment_runner.competition.starters import Launch, Running, Starter
 from experiment_runner.competition.trials import trials
 from experiment_runner.executors.job import Ended, Recorded
 from experiment_runner.store.records import EpisodeResult
@@ -93,7 +93,7 @@ class Thread(Running):
         return False
 
 
-class InThread(Starter):
+class InThread(Launcher):
     """Starts an agent in a thread, which joins over its launch's socket; an agent of None never joins."""
 
     def __init__(self, agent: Any, running: Callable[[Any, Launch], Running] = Thread) -> None:
@@ -139,11 +139,11 @@ class Reports(list[Any]):
 def reports_of(
     agent: Any, folder: Path, clock: Callable[[], float] | None = None, **settings: Any
 ) -> Reports:
-    """Let an agent, or the entrant of a starter, play one trial; return all reports."""
+    """Let an agent, or the entrant of a launcher, play one trial; return all reports."""
     held = competition("alice", **settings)
     (spec,) = trials(held, SECRET)
     match = Match(spec, held.entrants[0], held.limits, held.tasks[0].steps, folder / "log", "test")
     reports = Reports()
-    starter = agent if hasattr(agent, "sweep") else InThread(agent)
-    play(match, reports.append, starter, clock=clock or time.monotonic)
+    launcher = agent if hasattr(agent, "sweep") else InThread(agent)
+    play(match, reports.append, launcher, clock=clock or time.monotonic)
     return reports

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.competition.jail import check_engine, check_image, check_limits, jail, own_user
+from experiment_runner.competition.launching import Launch
 from experiment_runner.competition.settings import Limits
-from experiment_runner.competition.starters import Launch
 from glue.errors import ConfigError
 
 PLACE = Launch(Path("/run/1000/easy-alice-0"), "easy/alice/0", Path("log"), "spring")

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from env_server.toys import MinesEnvironment
+from experiment_runner.competition.launching import Launch
 from experiment_runner.competition.match import ASK, Forfeited, Used
 from experiment_runner.competition.records.verify import replay_trial
 from experiment_runner.competition.settings import Limits
-from experiment_runner.competition.starters import Launch
 from experiment_runner.competition.trials import agent_seed, draw, trials
 from experiment_runner.executors.job import Lost
 from glue.engine.engine import role_seed
@@ -289,9 +289,9 @@ def test_nobody_else_finds_the_socket(tmp_path: Path) -> None:
 
     class Curious(Walker):
         def agent_init(self, task_spec: str) -> None:
-            modes.append(starter.launches[0].folder.parent.stat().st_mode & 0o077)
+            modes.append(launcher.launches[0].folder.parent.stat().st_mode & 0o077)
 
-    starter = InThread(Curious())
-    reports_of(starter, tmp_path)
+    launcher = InThread(Curious())
+    reports_of(launcher, tmp_path)
     assert modes == [0]
-    assert not starter.launches[0].folder.exists()
+    assert not launcher.launches[0].folder.exists()

@@ -12,8 +12,8 @@ from typing import Annotated, Any, ClassVar
 import pytest
 
 from env_server.toys import MinesEnvironment
+from experiment_runner.competition.launching import Launch, variables
 from experiment_runner.competition.settings import Limits
-from experiment_runner.competition.starters import Launch, variables
 from experiment_runner.competition.trials import trials
 from experiment_runner.executors.job import Ended
 from glue.engine.engine import role_seed
@@ -148,12 +148,12 @@ def test_no_message_passes_to_an_entrant_or_its_environment_and_no_seed(
     heard: list[str], tmp_path: Path
 ) -> None:
     agent = RawAgent(Action(ints=[1]))
-    starter = InThread(agent, Raw)
-    reports = reports_of(starter, tmp_path, env=ENV, limits=LIMITS)
+    launcher = InThread(agent, Raw)
+    reports = reports_of(launcher, tmp_path, env=ENV, limits=LIMITS)
     assert not reports.forfeit
     assert set(heard) == {"seed", "init", "start", "step"}
     assert agent.kinds - TO_KEEP_UP == ASKED  # also its own seed, which reveals nothing of these
-    (launch,) = starter.launches
+    (launch,) = launcher.launches
     told = (str(launch.folder), *variables(launch.hub, launch.session).values())
     seen = b"\n".join([*agent.received, *map(str.encode, told)])
     for secret in (CANARY.encode(), *secrets()):

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from experiment_runner.competition.launching import InFolder, gate_for, launcher_for
 from experiment_runner.competition.match import Match, play
 from experiment_runner.competition.settings import Entrant, Gate, Limits
-from experiment_runner.competition.starters import InFolder, gate_for, starter_for
 from experiment_runner.competition.trials import trials
 from experiment_runner.executors.job import Ended
 from glue import serve_agent
@@ -27,16 +27,16 @@ from tests.experiment_runner.competition.players import SECRET, Walker, competit
 def test_an_entrant_in_a_folder_finds_the_socket_of_each_trial_and_needs_no_session(tmp_path: Path) -> None:
     held = competition("alice", trials=2)
     entrant = Entrant("alice", folder=tmp_path)
-    starter = starter_for(entrant)
-    assert isinstance(starter, InFolder)
-    starter.check(entrant, Limits())
+    launcher = launcher_for(entrant)
+    assert isinstance(launcher, InFolder)
+    launcher.check(entrant, Limits())
     for number, spec in enumerate(trials(replace(held, entrants=(entrant,)), SECRET)):
         said: list[str] = []
         hub = f"ipc://{tmp_path}/walk-{number}/hub"
         agent = threading.Thread(target=lambda: said.append(serve_agent(Walker(), hub, wait=60.0)))  # noqa: B023
         agent.start()
         reports: list[Any] = []
-        play(Match(spec, entrant, held.limits, 40, tmp_path / "log", "test"), reports.append, starter)
+        play(Match(spec, entrant, held.limits, 40, tmp_path / "log", "test"), reports.append, launcher)
         assert reports[-1] == Ended(None)
         agent.join()
         assert said
@@ -55,7 +55,7 @@ def test_containers_without_their_sdk_are_one_line_that_says_what_to_install(
     monkeypatch.setitem(sys.modules, "docker.errors", None)
     monkeypatch.delitem(sys.modules, "experiment_runner.competition.containers", raising=False)
     with pytest.raises(ConfigError, match=r"entrant alice has an image.*pip install 'glue-rl\[compete\]'"):
-        starter_for(Entrant("alice", image="alice/agent:1"))
+        launcher_for(Entrant("alice", image="alice/agent:1"))
 
 
 def test_the_gate_is_open_to_the_owner_of_one_key_as_the_agent_of_one_session(tmp_path: Path) -> None:

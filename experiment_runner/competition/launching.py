@@ -115,7 +115,7 @@ class Running:
         self._over.set()
 
 
-class Starter:
+class Launcher:
     """Starts entrants of one kind."""
 
     def check(self, entrant: Entrant, limits: Limits) -> str:
@@ -145,8 +145,8 @@ class Starter:
         """
 
 
-def starter_for(entrant: Entrant) -> Starter:
-    """Return the starter for an entrant of this kind.
+def launcher_for(entrant: Entrant) -> Launcher:
+    """Return the launcher for an entrant of this kind.
 
     Raises:
         ConfigError: it needs a package that is not installed.
@@ -174,7 +174,7 @@ def variables(hub: str, session: str) -> Mapping[str, str]:
     return {"GLUE_HUB": hub, "GLUE_SESSION": session}
 
 
-class Programs(Starter):
+class Programs(Launcher):
     """Starts trusted commands."""
 
     def check(self, entrant: Entrant, limits: Limits) -> str:
@@ -237,7 +237,7 @@ class _Program(Running):
         return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _KIBIBYTE
 
 
-class Outside(Starter):
+class Outside(Launcher):
     """Waits for entrants that are admitted by their key, at one address, and play one at a time.
 
     Meanwhile the others find no hub there, or their session is refused, so their programs have to be
