@@ -104,4 +104,4 @@ def read_text(path: Path, *, follow: bool = False) -> str:
 
 
 def _irregular(path: Path) -> OSError:
-    return OSError(errno.EINVAL, "it is no regular file, but a FIFO, a socket or a device", str(path))
+    return OSError(errno.EINVAL, "it is not a regular file, but a FIFO, a socket or a device", str(path))

@@ -195,10 +195,10 @@ def write_picture(level: state.LevelMap) -> str:
 
 
 def _thin(ground: Any) -> Any:
-    """Return which cells of ground belong to no square of four: nobody could stand on them in the simulator.
+    """Return which cells of ground belong to no square of four: in the simulator, nothing can stand on them.
 
     Ground gets its look by such squares, and a tile without that look stops nothing. Beyond its edges a level
-    goes on as it is there.
+    continues as it is there.
     """
     across = np.pad(ground, 1, "edge")
     across = across[1:] & across[:-1]

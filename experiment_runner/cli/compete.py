@@ -262,7 +262,7 @@ def bundle(directory: Path, out: Path) -> None:
 
     needed = write_bundle(directory, out)
     trusted = _allowing(map(without_place, needed))
-    say(f"whoever has {out} can verify it: glue-compete verify {out}{trusted}")
+    say(f"anyone who has {out} can verify it: glue-compete verify {out}{trusted}")
     for name in needed:
         say(f"it does not hold the code of {name}: publish that, too")
 

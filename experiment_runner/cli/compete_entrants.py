@@ -30,7 +30,7 @@ _SEASON: Final = click.option(
 @click.command()
 @click.argument("address")
 @click.option("--name", required=True, help="Your name in the season: letters, digits and _ . + -.")
-@click.option("--code", default="", help="The code with which one enrols, from the organiser.")
+@click.option("--code", default="", help="The code for enrolling, from the organiser.")
 @click.option("--team", default="", help="Your team, if the season has teams.")
 @click.option(
     "--dir",
@@ -59,7 +59,7 @@ def join(address: str, name: str, code: str, team: str, directory: Path) -> None
         write_pair(directory, name, new_pair())
     membership, alias = enrol(page, name, secret, code, team)
     membership.write(file)
-    say(f"{file}: what glue-agent --season needs. Give it, and {secret}, to nobody")
+    say(f"{file}: what glue-agent --season needs. Do not share it or {secret}")
     say(f"your row on the page: {page.url}/?token={membership.token}")
     if alias != name:
         say(f"others see you there as {alias}")
@@ -96,7 +96,7 @@ def _saved(image: str, path: Path) -> Path:
     """Save an image of the engine as a tar."""
     engine = next((program for program in ("docker", "podman") if shutil.which(program)), None)
     if engine is None:
-        raise ConfigError(f"there is no file {image}, and no docker here that could have such an image")
+        raise ConfigError(f"there is no file {image}, and no docker here to look for such an image")
     done = subprocess.run([engine, "save", "--output", str(path), image], capture_output=True, text=True)
     if done.returncode:
         raise ConfigError(f"{engine} cannot save the image {image}: {done.stderr.strip()[-300:]}")
@@ -147,7 +147,7 @@ def try_command(player: str, season: Path) -> int:
 def starter(language: str, directory: Path) -> None:
     """Write a small repository to DIR with an agent in LANGUAGE, and a workflow that tries and submits it."""
     write_starter(language, directory)
-    say(f"{directory / 'README.md'} says how to go on")
+    say(f"{directory / 'README.md'} says what to do next")
 
 
 COMMANDS: Final = (join, starter, submit, try_command, withdraw)

@@ -49,7 +49,7 @@ _WHY: Final = click.option(
     type=DIRECTORY,
     required=True,
     metavar="DIR",
-    help="Directory of the season; if it contains this season, it goes on where it was.",
+    help="Directory of the season; if it contains this season, the season continues.",
 )
 @click.option(
     "--bind",
@@ -74,7 +74,7 @@ def serve(
 ) -> None:
     """Hold the season of FILE, for weeks: let entrants play attempts, and verify each at its end.
 
-    It ends when `close` closes the season. Whatever stops it before, the same command goes on where it was.
+    It ends when `close` closes the season. If anything else stops it, the same command continues it.
     """
     from experiment_runner.competition.organiser import open_competition
     from experiment_runner.competition.season.images import remove_others
@@ -185,18 +185,16 @@ ACTS: Final = (
     announce,
     exclude,
     rerun,
-    _act("close", "End the season in DIR: what waits is cancelled, what plays is played to its end."),
+    _act("close", "End the season in DIR: what waits is cancelled, what is being played is finished."),
     _act("freeze", "Stop the public board of the season in DIR from changing; the organiser's still does."),
-    _act(
-        "grant", "Grant an entrant of the season in DIR further attempts, on whatever day.", _ENTRANT, _NUMBER
-    ),
+    _act("grant", "Grant an entrant of the season in DIR further attempts, on any day.", _ENTRANT, _NUMBER),
     _act(
         "pause",
-        "Start nothing more of an entrant of the season or run in DIR, or of anybody; what plays goes on.",
+        "Start nothing more of an entrant of the season or run in DIR, or of anyone, but end nothing.",
         _ANYBODY,
     ),
     _act("readmit", "Put an entrant that was excluded from the run in DIR back on the board.", _ENTRANT),
-    _act("resume", "End a pause of an entrant of the season or run in DIR, or of everybody.", _ANYBODY),
+    _act("resume", "End a pause of an entrant of the season or run in DIR, or of everyone.", _ANYBODY),
     _act("thaw", "Let the public board of the season in DIR show everything again."),
 )
 

@@ -67,8 +67,8 @@ def planned(options: SimpleNamespace) -> tuple[Plan, Path | None]:
     if others or counts.keys() - {*BUDGETS, "trials"}:
         raise ConfigError(
             f"--resume continues the run in {resume} with its own plan: "
-            "leave out --plan, --out, --again, and what changes a plan but more --episodes, --steps "
-            "or --trials"
+            "leave out --plan, --out, --again, and options that change a plan, except more --episodes, "
+            "--steps or --trials"
         )
     plan = replace(recorded_plan(resume), **budget(counts))
     if not options.dry_run:

@@ -325,7 +325,7 @@ class Held(Matches):
         self.over: set[TrialId] = set()
         if self.course.in_season:
             raise ExperimentError(
-                f"the season is not over: glue-compete serve goes on with it, and glue-compete close "
+                f"the season is not over: glue-compete serve continues it, and glue-compete close "
                 f"{store.directory} ends it"
             )
 

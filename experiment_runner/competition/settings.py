@@ -145,7 +145,7 @@ class Season:
         zone: name of the time zone of times without one, and of the days of `attempts_per_day`.
         attempts_per_day: of each entrant.
         parallel: number of attempts that are played at once.
-        enrol: `code` for those who know the code, `open` for everybody, `closed` for nobody.
+        enrol: `code` for those who know the code, `open` for everyone, `closed` for no one.
         code_file: the file of the code; None if it is in an environment variable.
         code_env: the environment variable of the code; None if it is in a file.
         count: which attempts count: each entrant's best, its last, or the mean of all.
@@ -336,7 +336,7 @@ def _season(table: object, folder: Path) -> Season:
     if found.enrol == "code" and (found.code_file is None) == (found.code_env is None):
         raise SettingError(
             'name the code with which entrants enrol, once: code_file = "code.txt" or code_env = "CODE"; or '
-            'let everybody, or nobody: enrol = "open", enrol = "closed"',
+            'admit everyone, or no one: enrol = "open", enrol = "closed"',
             "season",
             "enrol",
         )

@@ -123,7 +123,7 @@ class Guard:
         raise NotImplementedError
 
     def admit(self, request: Request) -> None:
-        """Keep the connection of a request from now on: whoever sent it has shown who they are."""
+        """Keep the connection of a request from now on: its sender has shown who they are."""
         if admit := request.scope.get("state", {}).get(ADMIT):
             admit()
 
@@ -145,7 +145,7 @@ class Guard:
 
 
 class Locked(Guard):
-    """Opens everything to whoever has the token, and nothing to anyone else.
+    """Opens everything to anyone who has the token, and nothing to anyone else.
 
     Args:
         app, address: as for `Guard`.

@@ -41,8 +41,8 @@ def new(name: str, directory: Path) -> None:
     from glue.client.libzmq import new_pair
 
     public, secret = write_pair(directory, name, new_pair())
-    say(f"{secret}: the secret key. Give it to nobody; it is for --key, or for --keys if it is the hub's")
-    say(f"{public}: the public key. Give it to whoever runs the hub; that of a hub, to all who join it")
+    say(f"{secret}: the secret key. Do not share it; it is for --key, or for --keys if it is the hub's")
+    say(f"{public}: the public key. Give it to the operator of the hub; a hub's own, to all who join it")
     click.echo(encode(read_public(public)))
 
 

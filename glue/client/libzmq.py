@@ -220,9 +220,9 @@ class DealerTransport:
 class Relay:
     """An address on this machine, without encryption, that leads to a hub with keys.
 
-    Programs whose library does not encrypt join the hub through it. A message goes on as it came; when the
-    connection to the hub breaks, the hub does not know the next one, and asks the program to greet it again.
-    Only the last program that has connected gets messages.
+    Programs whose library does not encrypt join the hub through it. A message is passed on as it came; when
+    the connection to the hub breaks, the hub does not know the next one, and asks the program to greet it
+    again. Only the last program that has connected gets messages.
 
     Args:
         url: the address, `ipc://PATH` in a folder that other users cannot enter.

@@ -214,7 +214,7 @@ class Page:
             )
         if 300 <= status < 400:  # such as a proxy that wants https
             place = one_line(answer.headers.get("Location", "another place"), _MOST_SHOWN)
-            why = f"the page {self.url} leads to {place}: give the address to which browsers come"
+            why = f"the page {self.url} leads to {place}: give the address that browsers open"
         elif found is None:
             why = f"the page {self.url} answered {status}, not as a season does: {why or 'nothing'}"
         raise SeasonRefused(why)
@@ -374,7 +374,7 @@ def join(page: Page, name: str, secret: Path, code: str = "", team: str = "") ->
         page: of the season.
         name: of the entrant.
         secret: file of its secret key.
-        code: with which one enrols; empty if none is needed.
+        code: for enrolling; empty if none is needed.
         team: of the entrant; empty for none.
 
     Raises:

@@ -86,7 +86,7 @@ def _own_key(key: str | Path | None, hub_key: str | Path | None) -> OwnKey | Non
         )
     if not hub_key:
         raise ConfigError(
-            "key needs hub_key, the public key of the hub: ask whoever runs the hub for it",
+            "key needs hub_key, the public key of the hub: ask the operator of the hub for it",
             settings=("hub_key",),
         )
     file = Path(key)
@@ -97,7 +97,7 @@ def needs_key(hub: str) -> Refused:
     """Return the error of a program without a key whose hub requires one."""
     return Refused(
         f"the hub at {hub} admits only the owners of keys that it knows: make a key with glue-keys new NAME, "
-        "ask whoever runs the hub to allow it, and give your secret key and the public key of the hub",
+        "ask the operator of the hub to allow it, and give your secret key and the public key of the hub",
         settings=("key", "hub_key"),
     )
 
@@ -106,7 +106,7 @@ def needs_no_key(hub: str) -> Refused:
     """Return the error of a program with a key whose hub does not encrypt."""
     return Refused(
         f"the hub at {hub} does not encrypt and knows no keys: leave out your key and the public key of the "
-        "hub if you trust the network, or ask whoever runs the hub to require keys",
+        "hub if you trust the network, or ask the operator of the hub to require keys",
         settings=("key", "hub_key"),
     )
 
@@ -115,7 +115,7 @@ def unknown_key(key: OwnKey, hub: str) -> Refused:
     """Return the error of a program whose key the hub does not know."""
     return Refused(
         f"the hub at {hub} does not know your key, {encode(key.pair.public)} in {key.file}: "
-        "ask whoever runs the hub to allow this key for your role and session, or give another",
+        "ask the operator of the hub to allow this key for your role and session, or give another",
         settings=("key",),
     )
 
@@ -124,6 +124,6 @@ def wrong_hub_key(key: OwnKey, hub: str) -> Refused:
     """Return the error of a program that expects a different public key of the hub."""
     return Refused(
         f"the public key of the hub at {hub} is not {encode(key.hub)}: "
-        "ask whoever runs the hub for the right one",
+        "ask the operator of the hub for the right one",
         settings=("hub_key",),
     )

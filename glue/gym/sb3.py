@@ -119,7 +119,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
             return [
                 codec.flat(Observation(mask=None if mask is None else codec.pack(mask))) for mask in masks
             ]
-        raise ConfigError(f"{method_name} cannot be called: the games are no environments of their own")
+        raise ConfigError(f"{method_name} cannot be called: the games are not separate environments")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Return False for each game: games have no wrappers of their own."""

@@ -223,7 +223,7 @@ class Sessions:
         if not channel.admits(role, message.session):
             text = (
                 f"no {role} of session {message.session!r} may join at this address of the hub, or with this "
-                "key: ask whoever runs it"
+                "key: ask its operator"
             )
             return ErrorCode.NOT_ADMITTED, text
         joined = self._joined.get(channel, {})

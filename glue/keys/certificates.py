@@ -35,7 +35,7 @@ _MAX_FILE: Final = 65_536
 
 _PUBLIC_FILE: Final = """\
 #   ZeroMQ CURVE Public Certificate of {name}
-#   Give it to others over a channel where nobody can swap it for another key.
+#   Share it over a channel on which no one can replace it with another key.
 
 metadata
 curve

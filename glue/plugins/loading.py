@@ -215,7 +215,7 @@ def _adapter_names() -> set[str]:
 def is_installed(name: str) -> bool:
     """Return whether a name leads to installed players alone: one of ours, or `adapter:NAME` of one word.
 
-    Any other may lead to code of whoever wrote the name, as `module:Class` to a file in this folder.
+    Any other may lead to code that the name's author chose, as `module:Class` to a file in this folder.
     """
     prefix, _, rest = name.partition(":")
     return any(name in names(role) for role in _GROUPS) or (

@@ -178,7 +178,7 @@ def broken(results: Results) -> str:
     for _ in range(_TRIES):
         found = _read(directory)
         changed = _changed(results, found)
-        if not changed or _read(directory) == found:  # while a run goes on, its seal is renewed
+        if not changed or _read(directory) == found:  # while a run is in progress, its seal is renewed
             break
     return changed
 
@@ -227,7 +227,7 @@ def sign(directory: Path, pair: KeyPair) -> None:
 def check_signature(directory: Path, public: bytes) -> None:
     """Check that a competition was signed with the pair of a public key, and has not changed since.
 
-    What a seal holds of before its last change is not signed: only whoever can write there vouches for it.
+    What a seal holds of before its last change is not signed: only those who can write there vouch for it.
 
     Raises:
         ConfigError: PyNaCl is not installed.

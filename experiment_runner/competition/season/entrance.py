@@ -207,7 +207,7 @@ class _Entrance:
             raise Denied("this season takes no images: play with glue-agent and season.toml", 403)
         size = request.headers.get("content-length", "")
         if not (size.isascii() and size.isdigit() and len(size) < _MOST_LETTERS):
-            raise Denied("the request says no Content-Length", 411)
+            raise Denied("the request has no Content-Length", 411)
         if int(size) > season.most_bytes:
             most = f"{season.most_bytes / 2**20:g} MiB"
             raise Denied(f"the image has {int(size) / 2**20:.1f} MiB, and {most} are allowed", 413)

@@ -4,7 +4,7 @@
 
 FILE is a tar of `docker save`, BYTES the size that its image may have, and DIR the season's directory. The
 result is a line of JSON: `id` of the image, or `error`. It is a process of its own, with little memory: a
-stranger wrote the file. Images with which nobody plays any more leave the engine before.
+stranger wrote the file. Images that are no longer played are removed from the engine first.
 
 The engine would load whatever is in such a file: several images, under any name, so that one of this machine
 would mean another image afterwards; a layer that is small and unpacks to terabytes; a sparse file. So it gets
@@ -53,7 +53,7 @@ _BLOCK: Final = 4096
 """Bytes that a file or folder takes at least."""
 
 _NEW_SECONDS: Final = 3600.0
-"""Age until which an image stays in the engine although nobody plays with it: it may be about to."""
+"""Age until which an image that is not played stays in the engine: it may be about to be played."""
 
 _PIECE: Final = 2**16
 _HEAD: Final = 8
@@ -80,7 +80,7 @@ class UnfitImage(ConfigError):
 class _Header(tarfile.TarInfo):
     """A header of a layer.
 
-    `TarFile` takes the first header that it cannot read for the end, where the engine may go on. And the
+    `TarFile` takes the first header that it cannot read for the end, where the engine may read on. And the
     engine skips zeros before a number, which Python takes for its end: a sparse file of gigabytes would have
     no size here.
     """
@@ -111,7 +111,7 @@ def copy_image(source: BinaryIO, target: BinaryIO, most: int) -> None:
         members = _members(archive)
         found = _json(archive, members, _MANIFEST)
         if not isinstance(found, list) or len(found) != 1 or not isinstance(found[0], dict):
-            raise UnfitImage("the file has not one image: docker save with the name of one image and one tag")
+            raise UnfitImage("the file does not hold one image with one tag: give docker save one NAME:TAG")
         name, layers = found[0].get("Config"), found[0].get("Layers")
         if not isinstance(name, str) or not isinstance(layers, list) or len(layers) > _MOST_LAYERS:
             raise UnfitImage(f"its {_MANIFEST} is not that of an image with up to {_MOST_LAYERS} layers")
@@ -255,7 +255,7 @@ def _named(what: str) -> Iterator[None]:
 
 
 def remove_others(directory: Path) -> None:
-    """Remove the images of a season from the engine with which nobody plays any more.
+    """Remove a season's images that are no longer played from the engine.
 
     Raises:
         ConfigError: there is no engine, or no client of it.

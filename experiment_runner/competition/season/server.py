@@ -2,7 +2,7 @@
 
 Only this process writes to the run directory, as in a competition held at once, see
 `experiment_runner.competition.organiser`. All that it knows is in the journal and in the results, so it may
-be killed at any time: a trial that was not over starts over, and everything else goes on where it was.
+be killed at any time: a trial that was not over starts over, and everything else continues where it was.
 
 An attempt plays its trials one after the other, in one of `Season.parallel` slots. Entrants who connect from
 elsewhere do so at the port of their slot. An attempt waits for its entrant's program, which has to ask for it
@@ -283,12 +283,12 @@ class Server(Matches):
     def _enrol(self, wanted: control.Enrol) -> Reply:
         season, name = self._state.season, wanted.name
         if season.enrol == "closed" or self._gate is None:
-            raise ExperimentError("nobody can enrol: ask the organiser")
+            raise ExperimentError("enrolment is closed: ask the organiser")
         schedule.check_not_over(self._state, self._now())
         if season.enrol == "code" and not (
             self._code and hmac.compare_digest(self._code.encode(), wanted.code.encode())
         ):
-            raise ExperimentError("that is not the code with which one enrols: ask the organiser for it")
+            raise ExperimentError("that is not the code for enrolling: ask the organiser for it")
         if not is_name(name):
             raise ExperimentError(f"{name!r:.80} cannot be a name: {NAMES}")
         if wanted.team and not (season.teams and is_name(wanted.team)):
@@ -590,7 +590,7 @@ class Server(Matches):
         return self._jobs[trial_id].replay is not None or super().starts_again(trial_id)
 
     def end(self, trial_id: str, failure: str | None) -> None:
-        """Store the outcome of a trial that was played, and go on after one that was played or replayed."""
+        """Store the outcome of a trial that was played, and continue after one played or replayed."""
         slot = self._slots[TrialId(trial_id).parts[0]]
         job = self._jobs.pop(trial_id)
         failure = failure or job.problem

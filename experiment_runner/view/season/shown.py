@@ -134,7 +134,7 @@ def rules_of(competition: Competition, season: Season) -> list[str]:
         "Every score was verified: its actions were played again, and paid the same rewards.",
         f"At most {season.most_entrants:,} entrants"
         + (f", and {season.most_bytes / _BYTES_OF_GIB:.3g} GiB for an image." if season.images else ".")
-        + " Whoever asks for too much is answered 429 or 503, and told after how many seconds to ask again.",
+        + " Too many requests are answered with 429 or 503, and with the seconds to wait before the next.",
     ]
     if any(task.hidden for task in competition.proving):
         rules.append("Scores of tasks with hidden levels are told when the season is closed.")

@@ -234,7 +234,7 @@ def test_the_error_says_what_lies_there_and_what_to_do(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo.traj")
     for name, what in (
         ("link", "it is a symbolic link, which is not followed"),
-        ("fifo", "it is no regular file"),
+        ("fifo", "it is not a regular file"),
     ):
         with pytest.raises(GlueError, match=f"cannot read .*{name}.traj: {what}"):
             [*TrajectoryReader(tmp_path / f"{name}.traj")]

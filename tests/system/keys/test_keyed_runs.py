@@ -42,8 +42,8 @@ def glue_keys(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def test_a_key_from_its_making_to_its_use(tmp_path: Path) -> None:
     made = glue_keys("new", "carol", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
-    assert "carol.key_secret: the secret key. Give it to nobody" in made.stderr
-    assert "carol.key: the public key. Give it to whoever runs the hub" in made.stderr
+    assert "carol.key_secret: the secret key. Do not share it" in made.stderr
+    assert "carol.key: the public key. Give it to the operator of the hub" in made.stderr
     assert glue_keys("show", "carol.key_secret", cwd=tmp_path).stdout == made.stdout
     keys = KeyFolder(tmp_path)
     # Her file is named as other programs name it, and holds only the key.

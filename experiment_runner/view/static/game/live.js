@@ -5,8 +5,8 @@ import { listen } from "../stream.js";
 import { Screen } from "./screen.js";
 import { decode } from "./values.js";
 
-const NO_HUB = "Nobody can look on at what is played now: only trials with a hub on this machine can be seen, so none " +
-  "of --in-process, of a cluster, of a competition, or at a hub that asks for a key.";
+const NO_HUB = "What is being played cannot be watched: only trials with a hub on this machine can, so none of " +
+  "--in-process, of a cluster, of a competition, or at a hub that asks for a key.";
 
 /** Show a run's trials in progress in `element`; returns a function that stops it. */
 export function watchLive(element, run) {
@@ -49,7 +49,7 @@ export function watchLive(element, run) {
 
   function receive(changed, all) {
     if (!all) {
-      setText(status, "The page looks on at as many trials as it can.");
+      setText(status, "The page is watching as many trials as it can.");
       return;
     }
     const trials = all.get("trials") ?? [];
@@ -58,7 +58,7 @@ export function watchLive(element, run) {
       chooser.hidden = trials.length < 2;
       choice.replaceChildren(...trials.map((one) => h("option", { value: one, selected: one === (wanted || trial) }, one)));
     }
-    if (trial) setText(status, `${trial}: the newest of what is played, at most 30 moments a second; the game waits for nobody.`);
+    if (trial) setText(status, `${trial}: the latest moment, at most 30 a second; the game does not wait for the page.`);
     else if (trials.length) setText(status, "Waiting for the next trial.");
     else setText(status, NO_HUB);
     answers = all.get("answers") ?? [];

@@ -73,7 +73,7 @@ export class Screen {
     setText(this._facts.action, action ? this.words(action, moment.observation) : "none yet");
     setText(this._facts.reward, step ? plain.format(reward) : "none yet");
     setText(this._facts.return, plain.format(total));
-    setText(this._facts.state, ending || "goes on");
+    setText(this._facts.state, ending || "in progress");
     this._answer(moment.answers ?? []);
     this._count();
   }

@@ -4,7 +4,7 @@ import { count, drawing, h, legend, score } from "../dom.js";
 
 const TIME = { year: "numeric", month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", timeZoneName: "short" };
 
-/** Return the link to an entrant; `you` is the name of the one who looks on. */
+/** Return the link to an entrant; `you` is the name of the viewer. */
 export const entrantLink = (name, you) =>
   h("a", { href: `#/entrant/${encodeURIComponent(name)}` }, name === you ? `${name} (you)` : name);
 
