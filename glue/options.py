@@ -123,7 +123,7 @@ def parameters(factory: type) -> dict[str, Parameter]:
     try:
         signature = inspect.signature(getattr(factory, "Options", factory))
     except (TypeError, ValueError) as error:  # a class that is not written in Python
-        raise ConfigError(f"{factory.__name__} is no agent or environment: {error}") from None
+        raise ConfigError(f"{factory.__name__} is not an agent or environment: {error}") from None
     for name, parameter in signature.parameters.items():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue

@@ -56,7 +56,7 @@ class Endpoint:
         if key is not None and parts.scheme == "http" and parts.hostname not in _LOOPBACK:
             raise ConfigError("the key would travel in clear text: use https", settings=("url",))
         if not (key or "").isascii() or not (key or "").isprintable():
-            raise ConfigError(f"{KEY_VARIABLE} is no key: it has letters that cannot be sent")
+            raise ConfigError(f"{KEY_VARIABLE} is not a key: it has letters that cannot be sent")
         self._url = url if url.endswith(_PATH) else f"{url.rstrip('/')}{_PATH}"
         self._headers = {"Content-Type": "application/json"}
         if key is not None:

@@ -5,8 +5,8 @@ The agent's role of a session is on one side (`start`, `step`, `end`, `next_acti
 (`look`, `act`, `give_up`). Nothing here waits or knows which client asks, so a game survives its clients.
 
 A *turn* is one choice of the model's. Turns are counted over all episodes, and each episode begins with
-one of its own, so that none can be played in another episode. Whoever repeats the last choice with its
-turn gets the same answer, and nothing is done again; any other turn but the current one is refused.
+one of its own, so that none can be played in another episode. A client that repeats the last choice with
+its turn gets the same answer, and nothing is done again; any turn but that and the current one is refused.
 
 An episode that is forfeit is played to its end by standing still, as the passive agent of a competition
 does: no call of RL-Glue lets an agent end an episode, and were the episode void, who gives up would get

@@ -154,7 +154,7 @@ class Course:
         planned = {spec.id: spec for spec in testing}
         for trial in self.reruns.values():
             if trial not in planned:
-                raise ExperimentError(f"the journal repeats {trial}, which is no trial of the competition")
+                raise ExperimentError(f"the journal repeats {trial}, which is not a trial of the competition")
         again = [replace(planned[trial], id=repetition) for repetition, trial in self.reruns.items()]
         return [*attempts, *planned.values(), *again]
 

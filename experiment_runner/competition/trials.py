@@ -110,7 +110,7 @@ def draw(secret: bytes, *names: str) -> int:
 
 
 def pseudonym(name: str, secret: bytes, taken: Collection[str]) -> str:
-    """Return a pseudonym that nobody has, and that tells the name only to those who know the secret."""
+    """Return a pseudonym that is not taken, and that tells the name only to those who know the secret."""
     rest, colour = divmod(int.from_bytes(derived(secret, "alias", name)), len(_COLOURS))
     rest, animal = divmod(rest, len(_ANIMALS))
     alias = f"{_COLOURS[colour]} {_ANIMALS[animal]}"

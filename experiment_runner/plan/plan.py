@@ -229,7 +229,7 @@ class Plan:
                 if label not in labels:
                     near = did_you_mean(label, labels)
                     raise SettingError(
-                        f"tune.agents.{label} is no agent of the plan{near}", "tune", "agents", label
+                        f"tune.agents.{label} is not an agent of the plan{near}", "tune", "agents", label
                     )
 
     @property

@@ -48,7 +48,7 @@ def check_options(options: Sequence[str]) -> None:
     """
     for option in options:
         if not _OPTION.fullmatch(option):
-            raise ConfigError(f"{option!r:.80} is no option for sbatch: write NAME=VALUE, as in time=2:00:00")
+            raise ConfigError(f"{option!r:.80} is not a sbatch option: write NAME=VALUE, as in time=2:00:00")
 
 
 def check_folder(folder: Path) -> None:

@@ -108,7 +108,7 @@ class Act:
         except ValueError:
             found = datetime.min.replace(tzinfo=UTC)
         if not 1970 < found.year < 9999:  # every time zone has the others
-            raise ExperimentError(f"the journal has an act at {self.time!r:.80}, which is no time")
+            raise ExperimentError(f"the journal has an act at {self.time!r:.80}, which is not a time")
         return found
 
     @property

@@ -34,7 +34,7 @@ from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 
 PUBLIC: Final = ""
-"""The viewer who is nobody in particular."""
+"""The viewer without a token."""
 
 ORGANISER: Final = "*"
 """The viewer who sees everything, at once. Any other viewer is the name of an entrant."""
@@ -110,7 +110,7 @@ class EntrantRow:
         tasks: score in each task.
         like: the best place above such that it is not separated from that one, nor from any in between: a
             paired randomisation test over the levels does not reject at 5 % that they are equal. None if it
-            is separated from the place above. Fewer than 6 levels separate nobody.
+            is separated from the place above. Fewer than 6 levels separate no one.
         counts: number of attempts in each state that there was.
         attempts: oldest first.
         places: its place at each of `SeasonBoard.times`; None before it had one.
@@ -525,7 +525,7 @@ def _total(scores: FloatArray) -> float:
 
 
 def _compare(found: Sequence[_Placed], count: str) -> None:
-    """Give everybody a place, and the best place above from which it is not separated."""
+    """Give each entrant a place, and the best place above from which it is not separated."""
     if not found:
         return
     scores = np.array([_score(one.totals, count) for one in found])
@@ -545,7 +545,7 @@ def _compare(found: Sequence[_Placed], count: str) -> None:
 
 
 def _places(found: Sequence[_Placed], times: Sequence[datetime], count: str) -> dict[str, list[int | None]]:
-    """Return the place of everybody at each time, by name."""
+    """Return the place of each entrant at each time, by name."""
     scores = []
     for one in found:
         after = [math.nan, *(_score(one.totals[: i + 1], count) for i in range(len(one.totals)))]

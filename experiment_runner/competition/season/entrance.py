@@ -239,7 +239,7 @@ class _Entrance:
         """Return the entrant that has signed a request.
 
         Raises:
-            Unsigned: nobody has, or the request has come before.
+            Unsigned: no entrant has, or the request was received before.
             Denied: there is no such entrant, it asks too often, or the page was started since.
         """
         self._of_address.take(address_of(request))

@@ -127,7 +127,7 @@ def gate_of(gate: Gate, slot: int) -> Gate:
     found = int(port) + slot if port.isdecimal() and len(port) < 6 else 0
     if not host.startswith("tcp://") or not 0 < found < 2**16:
         raise ConfigError(
-            f"{gate.bind} is no address for {slot + 1} attempts at once, each with a port of its own: "
+            f"{gate.bind} is not an address for {slot + 1} attempts at once, each with its own port: "
             "write one such as tcp://0.0.0.0:4097",
             settings=("bind",),
         )

@@ -276,7 +276,7 @@ def test_a_key_is_sent_to_its_endpoint_and_shown_nowhere(monkeypatch: pytest.Mon
     for unbounded in ("timeout", "seconds", "temperature"):
         with pytest.raises(ConfigError, match=f"option {unbounded} must be from .* not inf"):
             make_agent("chat", url="http://127.0.0.1/v1", model="m", **{unbounded: math.inf})
-    for key, says in ((SECRET, "in clear text"), (f"{SECRET}\n", "no key"), (f"{SECRET}ß", "no key")):
+    for key, says in ((SECRET, "in clear text"), (f"{SECRET}\n", "not a key"), (f"{SECRET}ß", "not a key")):
         with pytest.raises(ConfigError, match=says) as refusal:
             Endpoint("http://192.0.2.1/v1" if key == SECRET else "https://192.0.2.1/v1", key)
         assert SECRET not in str(refusal.value)

@@ -126,7 +126,7 @@ def test_a_list_that_is_no_file_is_refused(folder: KeyFolder) -> None:
     listed = folder.path / "allow.toml"
     listed.unlink()
     os.mkfifo(listed)
-    with pytest.raises(ConfigError, match="no regular file"):
+    with pytest.raises(ConfigError, match="not a regular file"):
         read_keys(folder.path)
     listed.unlink()
     listed.symlink_to(listed)

@@ -166,7 +166,7 @@ def test_what_is_not_the_entrants_fault_costs_nothing_and_grants_are_used_last()
         (act(journal.ENROL, "../dora", ""), "admits '../dora', which cannot be a name"),
         (act(journal.ADD, "dora", "", alias="../../owl"), "admits 'dora', which cannot be a name"),
         (act(journal.ADD, "dora", "", alias="owl\0"), "admits 'dora', which cannot be a name"),
-        (journal.Act("noon", journal.CLOSE, EVERYBODY, ""), "at 'noon', which is no time"),
+        (journal.Act("noon", journal.CLOSE, EVERYBODY, ""), "at 'noon', which is not a time"),
         (act(journal.CHANGE, "secret", "", value="1"), "cannot have secret = 1"),
         (act(journal.CHANGE, "parallel", "", value="0"), "cannot have parallel = 0"),
     ],

@@ -426,7 +426,7 @@ def test_an_address_has_a_port_for_each_slot() -> None:
     assert gate_of(Gate("tcp://[::]:4097", keys), 3) == Gate("tcp://[::]:4100", keys)
     assert gate_of(Gate("ipc:///run/gate", keys), 1) == Gate("ipc:///run/gate-1", keys)
     for bind in ("tcp://127.0.0.1:*", "tcp://127.0.0.1:65535"):
-        with pytest.raises(ConfigError, match="is no address for 2 attempts at once"):
+        with pytest.raises(ConfigError, match="is not an address for 2 attempts at once"):
             gate_of(Gate(bind, keys), 1)
 
 
