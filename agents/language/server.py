@@ -1,6 +1,6 @@
 """A language model as the client of a server of the Model Context Protocol, over stdio or HTTP.
 
-The server runs in a thread of its own, so that it answers while the agent waits for the hub or for a step.
+The server runs in its own thread, so that it answers while the agent waits for the hub or for a step.
 What it remembers is the game, not a client's session: a client that comes again continues where it was.
 """
 

@@ -120,7 +120,7 @@ def withdraw(attempt: int, season: Path) -> None:
 def try_command(player: str, season: Path) -> int:
     """Play the tasks of the season here, without being counted, and say what the season would say.
 
-    An image plays in the same jail as there, on levels of its own; anything else is an agent for glue-agent.
+    An image plays in the same jail as there, on other levels; anything else is an agent for glue-agent.
     """
     from experiment_runner.competition.check import try_entrant
     from experiment_runner.competition.season.trying import competition_of

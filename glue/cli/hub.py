@@ -95,7 +95,7 @@ def hub(
     """Run a hub alone, until Ctrl-C.
 
     Environments, agents and experiments connect to it; a session is one of each, paired by name.
-    glue-experiment starts a hub of its own, and needs this one only if it is given --hub.
+    glue-experiment starts its own hub, and needs this one only with --hub.
 
     \b
     Examples:

@@ -222,7 +222,7 @@ class Link:
             self._silent = True
             LOG.warning(
                 "no hub answers at %s yet; waiting for one "
-                "(start glue-hub, or glue-experiment, which has a hub of its own)",
+                "(start glue-hub, or glue-experiment, which starts its own hub)",
                 self._hub,
             )
         if self._transport.connected and not heard:  # or else the hub's next heartbeat is on its way

@@ -1,4 +1,4 @@
-"""Serve a player in a thread of its own, until it is stopped."""
+"""Serve a player in its own thread, until it is stopped."""
 
 from __future__ import annotations
 

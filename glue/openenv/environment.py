@@ -1,7 +1,7 @@
 """An OpenEnv server as an environment: `glue-env openenv:http://127.0.0.1:8000`.
 
 The schemas of actions and observations, which the server publishes at /schema, become the task spec. Each
-environment has a session of the server over a connection of its own. OpenEnv has no truncation: an episode
+environment has a session of the server over its own connection. OpenEnv has no truncation: an episode
 ends with `done`. A reward that is not stated is 0.
 
 JSON schemas of OpenEnv as spaces of Gymnasium, and values of JSON as values of these spaces.

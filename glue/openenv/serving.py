@@ -1,6 +1,6 @@
 """An environment for OpenEnv's clients: `glue-env mario --openenv 127.0.0.1:8000`.
 
-The routes and messages are OpenEnv's own, by its server; each connection plays an environment of its own.
+The routes and messages are OpenEnv's own, by its server; each connection plays its own environment.
 What a task spec describes becomes typed fields: a value of the space of `glue.gym.spaces` as JSON. Chars are
 a string, a character for each byte (Latin-1). A space that is not a Dict is one field, `action` or
 `observation`.

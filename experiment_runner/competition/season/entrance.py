@@ -304,7 +304,7 @@ async def _received(request: Request, file: BinaryIO, most: int, seconds: float)
 
 
 async def _loaded(file: BinaryIO, most: int, directory: Path) -> str:
-    """Load an image into the engine, in a process of its own; return its id."""
+    """Load an image into the engine, in a separate process; return its id."""
     file.seek(0)
     command = (sys.executable, "-P", "-m", MODULE, str(most), str(directory))
     process = await asyncio.create_subprocess_exec(*command, stdin=file, stdout=asyncio.subprocess.PIPE)

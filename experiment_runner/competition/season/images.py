@@ -3,7 +3,7 @@
     python -P -m experiment_runner.competition.season.images BYTES DIR < FILE
 
 FILE is a tar of `docker save`, BYTES the size that its image may have, and DIR the season's directory. The
-result is a line of JSON: `id` of the image, or `error`. It is a process of its own, with little memory: a
+result is a line of JSON: `id` of the image, or `error`. It is a separate process, with little memory: a
 stranger wrote the file. Images that are no longer played are removed from the engine first.
 
 The engine would load whatever is in such a file: several images, under any name, so that one of this machine

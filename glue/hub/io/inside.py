@@ -248,7 +248,7 @@ def host(
     if pace.rate and agent is not None:
         raise ConfigError(
             "an agent in the process of the hub would keep the environment waiting: start it "
-            "as a process of its own, or use glue.local for both players"
+            "in its own process, or use glue.local for both players"
         )
     with Hub(HubConfig(bind=(bind,), pace=pace)) as hub:
         transport = InsideTransport(hub, players, session)
