@@ -77,7 +77,17 @@ def connect_vec(
         options: options of Gymnasium's SyncVectorEnv, such as `autoreset_mode`.
     """
     makers = [functools.partial(connect, hub, session, wait=wait) for session in sessions]
-    return SyncVectorEnv(makers, **options)
+    return _VectorEnv(makers, **options)
+
+
+class _VectorEnv(SyncVectorEnv):  # type: ignore[misc]
+    """Gymnasium's, whose arrays of infos have the type of the first value: here none loses its fraction."""
+
+    def _add_info(self, infos: dict[str, Any], info: dict[str, Any], number: int) -> dict[str, Any]:
+        for name, value in info.items():
+            if type(value) is float and name in infos and infos[name].dtype.kind == "i":
+                infos[name] = infos[name].astype(float)
+        return super()._add_info(infos, info, number)  # type: ignore[no-any-return]
 
 
 class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
