@@ -47,18 +47,23 @@ def connect(hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, *, wait: flo
 
     Raises:
         HubUnreachable: no hub has answered in that time.
-        ConfigError: the task spec does not state the actions.
+        ConfigError: the task spec does not state the actions, or the hub has a rate or a delay.
     """
     glue = remote.connect(hub, session, name="gymnasium", wait=wait)
-    stand_in = threads.Thread(
-        target=serve_agent,
-        args=(_StandIn(), hub, session),
-        kwargs={"wait": wait},
-        name="stand-in agent",
-        daemon=True,
-    )
-    stand_in.start()
     try:
+        if glue.late_actions() is not None:
+            raise ConfigError(
+                "the hub has a rate or a delay, and a Gymnasium environment waits for its actions: "
+                "start a hub without them for it"
+            )
+        stand_in = threads.Thread(
+            target=serve_agent,
+            args=(_StandIn(), hub, session),
+            kwargs={"wait": wait},
+            name="stand-in agent",
+            daemon=True,
+        )
+        stand_in.start()
         return GlueEnv(glue)
     except BaseException:
         glue.close()  # otherwise nobody else could use the session
