@@ -75,13 +75,13 @@ def unpack_extras(packed: bytes) -> dict[str, Extra]:
             f"{str(error) or type(error).__name__}"
         ) from None
     if type(pairs) is not tuple:
-        raise RemoteProtocolError(f"the extras of an observation are a map, not {pairs!r:.40}")
+        raise RemoteProtocolError(f"the environment sent extras that are {pairs!r:.40} instead of a map")
     for name, value in pairs:
         if why := _fault(name, value):
-            raise RemoteProtocolError(f"{why}; {value!r:.40} was received")
+            raise RemoteProtocolError(f"the environment sent {value!r:.40} as an extra, but {why}")
     extras = {name: tuple(value) if type(value) is list else value for name, value in pairs}
     if len(extras) != len(pairs):
-        raise RemoteProtocolError("two extras of an observation have the same name")
+        raise RemoteProtocolError("the environment sent two extras with the same name")
     return extras
 
 

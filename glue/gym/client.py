@@ -47,18 +47,23 @@ def connect(hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, *, wait: flo
 
     Raises:
         HubUnreachable: no hub has answered in that time.
-        ConfigError: the task spec does not state the actions.
+        ConfigError: the task spec does not state the actions, or the hub has a rate or a delay.
     """
     glue = remote.connect(hub, session, name="gymnasium", wait=wait)
-    stand_in = threads.Thread(
-        target=serve_agent,
-        args=(_StandIn(), hub, session),
-        kwargs={"wait": wait},
-        name="stand-in agent",
-        daemon=True,
-    )
-    stand_in.start()
     try:
+        if glue.late_actions() is not None:
+            raise ConfigError(
+                "the hub has a rate or a delay, and a Gymnasium environment waits for its actions: "
+                "start a hub without them for it"
+            )
+        stand_in = threads.Thread(
+            target=serve_agent,
+            args=(_StandIn(), hub, session),
+            kwargs={"wait": wait},
+            name="stand-in agent",
+            daemon=True,
+        )
+        stand_in.start()
         return GlueEnv(glue)
     except BaseException:
         glue.close()  # otherwise nobody else could use the session
@@ -77,7 +82,17 @@ def connect_vec(
         options: options of Gymnasium's SyncVectorEnv, such as `autoreset_mode`.
     """
     makers = [functools.partial(connect, hub, session, wait=wait) for session in sessions]
-    return SyncVectorEnv(makers, **options)
+    return _VectorEnv(makers, **options)
+
+
+class _VectorEnv(SyncVectorEnv):  # type: ignore[misc]
+    """Gymnasium's, whose arrays of infos have the type of the first value: here none loses its fraction."""
+
+    def _add_info(self, infos: dict[str, Any], info: dict[str, Any], number: int) -> dict[str, Any]:
+        for name, value in info.items():
+            if type(value) is float and name in infos and infos[name].dtype.kind == "i":
+                infos[name] = infos[name].astype(float)
+        return super()._add_info(infos, info, number)  # type: ignore[no-any-return]
 
 
 class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]

@@ -205,6 +205,7 @@ class Counting(Environment):
             "step": self._step,
             "name": f"of {self._length}",
             "path": [*range(self._step)],
+            "share": 1 if self._length == 2 else 0.5,
         }
         if self._step == self._length:
             extras["last"] = float(self._length)
@@ -228,6 +229,7 @@ def test_many_sessions_have_masks_and_extras_in_vector_form(mode: str) -> None:
     first, second, third = found
     assert first["step"].tolist() == [1, 1]
     assert first["name"].tolist() == ["of 2", "of 3"]
+    assert first["share"].tolist() == [1.0, 0.5]  # as a program in JavaScript sends it: 1 and 0.5
     assert "last" not in first
     if mode == "SameStep":
         assert second["step"].tolist() == [0, 2]
