@@ -18,7 +18,7 @@ from experiment_runner.cli.results import results as results_command
 from experiment_runner.executors.recording import Extras, Meter
 from experiment_runner.plan.file import dump_plan, parse_plan
 from experiment_runner.plan.limits import REMOTE, TrialId
-from experiment_runner.plan.metrics import SUMMARIES, MetricsPlan, Summary
+from experiment_runner.plan.metrics import SUMMARIES, MetricsPlan, Summary, check_extras
 from experiment_runner.plan.plan import RoleSpec, TrialSpec, differences
 from experiment_runner.plan.toml import SettingError
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult
@@ -119,7 +119,7 @@ def test_what_is_no_number_cannot_be_a_metric(value: Any) -> None:
     [
         ("mario", "mario.coins", "mario.coins"),
         ("hard", "mario.coins", "hard.mario.coins"),
-        (REMOTE, "mario.coins", "remote.coins"),
+        (REMOTE, "mario.coins", "remote.mario.coins"),
         (REMOTE, "coins", "remote.coins"),
     ],
 )
@@ -128,6 +128,31 @@ def test_an_environment_may_put_its_name_before_an_extras(label: str, name: str,
     extras = Extras({"mario.coins": "last"}, label)
     extras.see(Observation(extras={name: 3}))
     assert extras.numbers() == {stored: 3.0}
+    assert [*extras.missing()] == []
+
+
+TWO = {"left.speed": 1, "right.speed": 3}
+
+
+@pytest.mark.parametrize(
+    ("label", "sent", "keys", "stored"),
+    [
+        (REMOTE, TWO, ["left.speed"], {"remote.left.speed": 1}),
+        (REMOTE, TWO, ["right.speed", "left.speed"], {"remote.right.speed": 3, "remote.left.speed": 1}),
+        (REMOTE, {"speed": 2}, ["left.speed", "speed"], {"remote.speed": 2}),
+        (REMOTE, {"speed": 2}, ["left.speed", "right.speed"], {}),
+        ("col", {"steps": 1, "col.steps": 3}, ["steps"], {"col.steps": 1}),
+        ("col", {"steps": 1, "col.steps": 3}, ["col.col.steps"], {"col.col.steps": 3}),
+    ],
+)
+def test_extras_whose_names_end_alike_are_not_mixed(
+    label: str, sent: dict[str, int], keys: list[str], stored: dict[str, int]
+) -> None:
+    check_extras(keys, [label])
+    extras = Extras(dict.fromkeys(keys, "mean"), label)
+    extras.see(Observation(extras=sent))
+    assert extras.numbers() == stored
+    assert len([*extras.missing()]) == len(keys) - len(stored)
 
 
 def test_an_attempt_that_became_void_leaves_nothing() -> None:
@@ -208,7 +233,7 @@ def test_a_plan_has_a_table_of_extras() -> None:
 
 @pytest.mark.parametrize(
     ("environments", "key", "label"),
-    [("", "any.score", REMOTE), ('[environments.mines]\nclass = "mines"\n', "mines.score", "mines")],
+    [("", "remote.score", REMOTE), ('[environments.mines]\nclass = "mines"\n', "mines.score", "mines")],
 )
 def test_one_number_is_recorded_of_an_extra(environments: str, key: str, label: str) -> None:
     plan = f'episodes = 1\n{environments}[extras]\nscore = "mean"\n{key} = "max"\n'
