@@ -83,11 +83,14 @@ def test_a_mask_has_one_form_there_and_another_here(name: str) -> None:
         ("MultiDiscrete", 7),
         ("MultiBinary", np.array([0, 3, 1], np.int8)),
         ("nested", {"a": ONES}),
+        ("Discrete", [[0, 1], [1]]),
+        ("MultiDiscrete", ([0, [1]], ONES)),
+        ("Box of floats", ONES),
     ],
 )
 def test_what_is_no_mask_of_the_space_is_refused(name: str, mask: Any) -> None:
     with pytest.raises(SimulatorError, match=r"no mask of|expected a dict"):
-        MaskCodec(SPACES[name][0]).pack(mask)
+        MaskCodec(SPACES[name][0] if name in SPACES else spaces.Box(0, 1, (2,))).pack(mask)
 
 
 class Watching(RandomAgent):
