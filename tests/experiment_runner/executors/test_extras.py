@@ -46,7 +46,7 @@ class Climbing(Environment):
     def env_start(self) -> Observation:
         self._episode = (self._episode + 1) % len(HEIGHTS)
         self._step = 0
-        return Observation([0], extras={"steps": 0})
+        return Observation([0], extras={"steps": 0, "extra.steps": 7})
 
     def env_step(self, action: Action) -> Step:
         heights = HEIGHTS[self._episode]
@@ -181,14 +181,16 @@ def measured(out: Path, *metrics: str) -> Result:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    measured(tmp_path / "run", "Climbing.height=max", "steps=sum")
+    measured(tmp_path / "run", "Climbing.height=max", "steps=sum", "extra.steps=first")
     return tmp_path / "run"
 
 
 def test_a_run_has_a_column_for_each_extra(run: Path) -> None:
     data = load_run(run)
     columns = [*data]
-    assert columns[columns.index("extra.steps") :][:3] == ["extra.steps", "height", "seed"]
+    after = columns.index("extra.extra.steps")
+    assert columns[after:][:4] == ["extra.extra.steps", "extra.steps", "height", "seed"]
+    assert data["extra.extra.steps"].tolist() == [7.0] * 4
     assert data["height"].tolist() == [5.0, 4.0, 5.0, 4.0]
     assert data["extra.steps"].tolist() == [6.0, 3.0, 6.0, 3.0]
     with Results.open(run) as results:

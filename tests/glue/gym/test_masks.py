@@ -173,6 +173,19 @@ def test_a_wrapped_environment_has_masks_and_extras_in_its_infos() -> None:
     env.close()
 
 
+def test_extras_with_names_of_gymnasiums_own_are_called_otherwise() -> None:
+    class Named(Counting):
+        def _shown(self) -> Observation:
+            return Observation([0], extras={"action_mask": 7, "episode": 8})
+
+    env = gymnasium.wrappers.RecordEpisodeStatistics(glue.gym.wrap(Named(1)))
+    env.reset()
+    *_, info = env.step(np.array([0, 0]))
+    assert (info["extra.action_mask"], info["extra.episode"], info["episode"]["r"]) == (7, 8, 1.0)
+    assert plain(info["action_mask"]) == ([1, 1], [1, 1, 1])
+    env.close()
+
+
 def test_an_environment_without_masks_says_so() -> None:
     env = glue.gym.wrap(make("skeleton"))
     assert env.reset()[1] == {}
