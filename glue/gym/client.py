@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
 from gymnasium.vector import SyncVectorEnv
@@ -24,6 +24,9 @@ from glue.roles import Agent, Environment
 from glue.system import threads
 from glue.taskspec import parse_task_spec
 from glue.types import Action, BoolArray, Observation, arrays_of
+
+_TAKEN: Final = {"action_mask", "episode"}
+"""Names in an info that are not for extras: of the mask, and of Gymnasium's RecordEpisodeStatistics."""
 
 
 def wrap(environment: Environment) -> GlueEnv:
@@ -100,7 +103,8 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
 
     Its spaces are read from the task spec; see `glue.gym.spaces.read_spaces`. A reset with a seed is an
     RL_init with that seed, from which the environment's own seed is derived. An info has the extras of the
-    observation and, in a task with masks, the `action_mask`; see `glue.gym.spaces`.
+    observation and, in a task with masks, the `action_mask`; see `glue.gym.spaces`. An extra that is called
+    `action_mask` or `episode` is there as `extra.action_mask` or `extra.episode`.
 
     Args:
         glue: the experiment; it is closed with the environment.
@@ -188,7 +192,10 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
     def _info(self) -> dict[str, Any]:
         extras = self._shown.extras
         # Gymnasium's vector environments take arrays of one shape only, and any lists.
-        info: dict[str, Any] = {n: [*x] if isinstance(x, tuple) else x for n, x in extras.items()}
+        info: dict[str, Any] = {
+            f"extra.{name}" if name in _TAKEN else name: [*value] if isinstance(value, tuple) else value
+            for name, value in extras.items()
+        }
         if self._masks is not None:
             info["action_mask"] = self._masks.unpack(self._shown)
         return info

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from enum import Enum, IntEnum, StrEnum
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,19 @@ def test_a_mask_is_as_large_as_its_size_can_say() -> None:
         Observation(mask=[True] * (MAX_MASK_BITS + 1))
 
 
-def test_extras_may_be_given_in_numpys_forms() -> None:
+class Death(StrEnum):
+    FALL = "fall"
+
+
+class Mode(IntEnum):
+    LARGE = 1
+
+
+class Named(Enum):
+    FALL = "fall"
+
+
+def test_extras_may_be_given_in_the_forms_of_numpy_and_enums() -> None:
     forms: list[tuple[Any, object]] = [
         (np.int32(3), 3),
         (np.float32(0.5), 0.5),
@@ -92,6 +105,13 @@ def test_extras_may_be_given_in_numpys_forms() -> None:
         (np.ones(2), (1.0, 1.0)),
         (np.True_, 1),
         ((1,), (1,)),
+        (np.str_("a"), "a"),
+        (np.bytes_(b"a"), b"a"),
+        (Death.FALL, "fall"),
+        (Named.FALL, "fall"),
+        (Mode.LARGE, 1),
+        ([np.float64(0.5), 1.0], (0.5, 1.0)),
+        ([Mode.LARGE, True, 0], (1, 1, 0)),
     ]
     for given_, read in forms:
         assert Observation(extras={"a": given_}).extras == {"a": read}

@@ -502,6 +502,15 @@ def test_plot_of_what_there_is_not_is_refused(run: Path, tmp_path: Path, wrong: 
     assert why in str(refused)
 
 
+@pytest.mark.parametrize("form", ["", "--kind=scatter --out=x.svg", "--over=steps --out=x.svg"])
+def test_plot_of_what_no_episode_has_is_refused(tmp_path: Path, form: str) -> None:
+    with open_run(tmp_path / "run", PLAN) as store:
+        store.record(TRIALS[0], result(0, 1)._replace(late=math.nan))
+    command = [str(tmp_path / "run"), "--y=late", *form.split()]
+    with pytest.raises(ExperimentError, match="nothing to draw: no episode has a value of late"):
+        CliRunner().invoke(plot, command, standalone_mode=False, catch_exceptions=False)
+
+
 def test_the_list_of_subcommands_has_the_first_sentence_of_each() -> None:
     for name, listed in results.commands.items():
         _, command, _ = results.resolve_command(Context(results), [name])

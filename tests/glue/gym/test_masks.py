@@ -83,11 +83,14 @@ def test_a_mask_has_one_form_there_and_another_here(name: str) -> None:
         ("MultiDiscrete", 7),
         ("MultiBinary", np.array([0, 3, 1], np.int8)),
         ("nested", {"a": ONES}),
+        ("Discrete", [[0, 1], [1]]),
+        ("MultiDiscrete", ([0, [1]], ONES)),
+        ("Box of floats", ONES),
     ],
 )
 def test_what_is_no_mask_of_the_space_is_refused(name: str, mask: Any) -> None:
     with pytest.raises(SimulatorError, match=r"no mask of|expected a dict"):
-        MaskCodec(SPACES[name][0]).pack(mask)
+        MaskCodec(SPACES[name][0] if name in SPACES else spaces.Box(0, 1, (2,))).pack(mask)
 
 
 class Watching(RandomAgent):
@@ -167,6 +170,19 @@ def test_a_wrapped_environment_has_masks_and_extras_in_its_infos() -> None:
     assert terminated
     assert plain(info["action_mask"]) == ([1, 1, 1], [1, 1])
     assert info["worth"] >= 4
+    env.close()
+
+
+def test_extras_with_names_of_gymnasiums_own_are_called_otherwise() -> None:
+    class Named(Counting):
+        def _shown(self) -> Observation:
+            return Observation([0], extras={"action_mask": 7, "episode": 8})
+
+    env = gymnasium.wrappers.RecordEpisodeStatistics(glue.gym.wrap(Named(1)))
+    env.reset()
+    *_, info = env.step(np.array([0, 0]))
+    assert (info["extra.action_mask"], info["extra.episode"], info["episode"]["r"]) == (7, 8, 1.0)
+    assert plain(info["action_mask"]) == ([1, 1], [1, 1, 1])
     env.close()
 
 
