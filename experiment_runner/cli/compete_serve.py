@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
 from experiment_runner.cli.options import check_address, naming_out
-from experiment_runner.cli.season_page import page_options
+from experiment_runner.cli.season_page import page_options, place_of_page
 from experiment_runner.plan.limits import Backend
 from glue.cli.shared import DIRECTORY, FILE
 from glue.console import one_line, say
@@ -77,6 +77,7 @@ def serve(
     It ends when `close` closes the season. Whatever stops it before, the same command goes on where it was.
     """
     from experiment_runner.competition.organiser import open_competition
+    from experiment_runner.competition.records.journal import utc_now
     from experiment_runner.competition.season.images import remove_others
     from experiment_runner.competition.season.server import Server, check_gate
     from experiment_runner.competition.settings import Gate, load_competition
@@ -86,8 +87,13 @@ def serve(
     from experiment_runner.view.launch import check_view, season_viewed
 
     check_address(Backend(engine), address)
-    if of_page["page"] is not None:
+    has_page = of_page["page"] is not None
+    if has_page:
         check_view("page")
+        from experiment_runner.view.server import listen
+
+        # The page is a process of its own, and started again whenever it ends: here a mistake is told once.
+        listen(place_of_page(of_page["page"], of_page["proxy"], of_page["insecure"])).close()
     competition = load_competition(file)
     if competition.season is None:
         raise ConfigError(f"{file} has no table [season]: glue-compete run holds its competition")
@@ -101,10 +107,15 @@ def serve(
             text = read_text(file, follow=True)
             store = stack.enter_context(open_competition(out, text, competition, secret))
         executor = executor_of(competition, Backend(engine), address)
-        if of_page["page"] is not None:
-            stack.enter_context(season_viewed(out, of_page, say))
-        say(f"the season is served from {out}")
-        stack.enter_context(Server(store, competition, secret, code, gate, say)).serve(executor)
+        page = season_viewed(out, of_page, say) if has_page else nullcontext()
+        with page, Server(store, competition, secret, code, gate, say) as server:
+            say(f"the season is served from {out}")
+            server.serve(executor)
+        if has_page and of_page["publish"] is not None:
+            from experiment_runner.view.season.publish import Publisher
+            from experiment_runner.view.season.views import Views
+
+            Publisher(Views(out, utc_now), of_page["publish"]).publish()  # as it is for ever
         if competition.season.images:
             with suppress(GlueError, ImportError):  # without an engine there are none
                 remove_others(out)

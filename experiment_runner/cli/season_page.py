@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TextIO, TypeVar
 
 import click
 
@@ -20,6 +20,9 @@ from experiment_runner.view.launch import check_view
 from glue.cli.shared import DIRECTORY
 from glue.console import say
 from glue.errors import ConfigError
+
+if TYPE_CHECKING:
+    from experiment_runner.view.server import Place
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -95,6 +98,22 @@ def page_options(command: _Command) -> _Command:
     return command
 
 
+def place_of_page(address: str, proxy: str, insecure: bool) -> Place:
+    """Return where a season's page is served.
+
+    Args:
+        address: such as 127.0.0.1:8097.
+        proxy, insecure: as for `place_of`.
+
+    Raises:
+        ConfigError: the address is malformed; or as by `place_of`.
+    """
+    match = _ADDRESS.fullmatch(address)
+    if match is None or int(match[3]) > 65535:
+        raise ConfigError(f"--page is HOST:PORT, as in 127.0.0.1:8097, not {address}", settings=("page",))
+    return place_of(match[1] or match[2], int(match[3]), proxy, insecure)
+
+
 @click.command("page")
 @click.argument("directory", type=DIRECTORY, metavar="DIR")
 @click.option(
@@ -123,10 +142,7 @@ def page(
     from experiment_runner.view.season.views import Views, organisers_token
     from experiment_runner.view.server import serve
 
-    match = _ADDRESS.fullmatch(address)
-    if match is None or int(match[3]) > 65535:
-        raise ConfigError(f"--page is HOST:PORT, as in 127.0.0.1:8097, not {address}", settings=("page",))
-    place = place_of(match[1] or match[2], int(match[3]), proxy, insecure)
+    place = place_of_page(address, proxy, insecure)
     os.nice(_NICENESS)  # what is played has priority
     views = Views(directory, utc_now)
     views.board(PUBLIC)  # says why, if the directory holds no season

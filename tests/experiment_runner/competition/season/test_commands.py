@@ -73,6 +73,9 @@ def test_an_attempt_that_an_image_plays_is_waited_for_and_its_result_is_the_outp
         ("glue-agent --season season.toml my.py:Agent", 2, "glue-agent my.py:Agent --season"),
         ("glue-compete join http://x --dir b --name Müller", 2, "cannot be a name"),
         ("glue-compete serve file.toml --out run", 2, "file.toml has no table [season]"),
+        ("glue-compete serve file.toml --out run --page foo", 2, "--page is HOST:PORT"),
+        ("glue-compete serve file.toml --out run --page 0.0.0.0:8097", 2, "add --insecure"),
+        ("glue-compete serve file.toml --out run --page 127.0.0.1:{port}", 2, "choose another port (--page)"),
         ("glue-compete submit agent.tar", 1, "not as docker save writes it"),
         ("glue-compete submit my-agent", 2, "there is no file my-agent, and no docker here"),
     ],
@@ -83,7 +86,8 @@ def test_a_mistake_costs_no_attempt(
     text = FILE.partition("[season]")[0] + "tasks.a = { env = 'mines', steps = 9 }\n"
     (tmp_path / "file.toml").write_text(text + "entrants.a = { command = ['true'] }\n")
     (tmp_path / "agent.tar").write_bytes(b"no image" * 100)
-    done = run(tmp_path, *command.split(), status=status, SECRET="nobody knows", PATH="/nowhere")
+    arguments = command.format(port=entrance.port).split()
+    done = run(tmp_path, *arguments, status=status, SECRET="nobody knows", PATH="/nowhere")
     assert why in done.stderr
     assert not (tmp_path / "run").exists()
     assert not entrance.asked

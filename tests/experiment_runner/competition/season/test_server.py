@@ -255,6 +255,9 @@ def test_who_closes_the_season_lets_what_is_played_end(season: Season) -> None:
     season.refuses(Attempt("bob"), "the season closed")
     season.act("exclude", "carol")
     assert season.server.over
+    assert not season.server.may_end  # its program asks how it went
+    season.seconds += 30
+    assert season.server.may_end
 
 
 @pytest.mark.parametrize(
