@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import os
 import re
@@ -10,6 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TextIO, TypeVar
 
@@ -61,12 +63,25 @@ def _log(context: click.Context, option: click.Parameter, form: str) -> str:
     return form
 
 
+def _ip(context: click.Context, option: click.Parameter, text: str | None) -> str | None:
+    try:
+        return text and str(ipaddress.ip_address(text))
+    except ValueError:
+        raise click.BadParameter(f"{text} is not an IP address such as 172.30.97.1") from None
+
+
 _OPTIONS: Final = (
     click.option(
         "--proxy",
         default="",
         metavar="URL",
         help="Address at which browsers find the page behind a proxy on this machine: https://lab.example/season",
+    ),
+    click.option(
+        "--proxy-address",
+        metavar="IP",
+        callback=_ip,
+        help="Address from which that proxy comes, if not from this machine, as for a page in a container.",
     ),
     click.option(
         "--insecure",
@@ -92,7 +107,7 @@ _OPTIONS: Final = (
 
 
 def page_options(command: _Command) -> _Command:
-    """Give a command the options `proxy`, `insecure`, `publish` and `log_format`."""
+    """Give a command the options `proxy`, `proxy_address`, `insecure`, `publish` and `log_format`."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
@@ -126,7 +141,13 @@ def place_of_page(address: str, proxy: str, insecure: bool) -> Place:
 )
 @page_options
 def page(
-    directory: Path, address: str, proxy: str, insecure: bool, publish: Path | None, log_format: str
+    directory: Path,
+    address: str,
+    proxy: str,
+    proxy_address: str | None,
+    insecure: bool,
+    publish: Path | None,
+    log_format: str,
 ) -> None:
     """Show the season in DIR on a page that is open to all; `serve` does so, too.
 
@@ -153,4 +174,5 @@ def page(
     def ready(url: str) -> None:
         say(f"the page is at {url}; the organiser's, which shows all: {url}?token={token}")
 
-    serve(lambda address, _: season_page(views, address, routes), place, ready, Passing)
+    entrance = partial(routes, proxy=proxy_address)
+    serve(lambda address, _: season_page(views, address, entrance), place, ready, Passing)

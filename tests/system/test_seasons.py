@@ -153,6 +153,9 @@ def test_the_unit_and_the_container_start_a_season_with_options_that_there_are()
     for line in (unit()["ExecStart"], container()):
         _, command, *arguments = shlex.split(line)
         compete.commands[command].make_context(command, arguments)
+    gateway = re.search(r"gateway: ([\d.]+)", COMPOSE.read_text("utf-8"))
+    assert gateway is not None
+    assert f"--proxy-address {gateway[1]}\n" in container()
 
 
 def unit() -> dict[str, str]:

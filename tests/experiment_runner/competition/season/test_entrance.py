@@ -288,11 +288,15 @@ def test_a_rate_forgets_those_who_have_rested() -> None:
         ("127.0.0.1", ["198.51.100.1"], "198.51.100.1"),
         ("127.0.0.1", ["192.0.2.7, 198.51.100.1"], "198.51.100.1"),  # it has invented the first
         ("127.0.0.1", ["192.0.2.7", "2001:db8::1"], "2001:db8::/64"),
+        ("172.30.97.1", ["192.0.2.7, 198.51.100.1"], "198.51.100.1"),
+        ("::ffff:172.30.97.1", ["198.51.100.1"], "198.51.100.1"),
+        ("172.30.97.2", ["198.51.100.1"], "172.30.97.2"),
         ("127.0.0.1", ["x" * 1000], "127.0.0.1"),
     ],
 )
-def test_limits_count_by_the_address_behind_a_proxy_of_this_machine(
+def test_limits_count_by_the_address_behind_a_proxy_that_is_here_or_named(
     peer: str, passed: list[str], counted: str
 ) -> None:
     headers = [(b"x-forwarded-for", one.encode()) for one in passed]
-    assert address_of(Request({"type": "http", "client": (peer, 1), "headers": headers})) == counted
+    request = Request({"type": "http", "client": (peer, 1), "headers": headers})
+    assert address_of(request, "172.30.97.1") == counted
