@@ -348,6 +348,8 @@ class Server(Matches):
     def _shown(self, entrant: Enrolled, one: Attempt) -> Reply:
         """Return the reply about an attempt to its owner."""
         name, reply = entrant.name, Reply(attempt=one.number)
+        if one.start is not None and IMAGE_ID.fullmatch(one.start.id):
+            reply["image"] = True
         slot = self._slots.get(name)
         if one.state == "waiting":
             queue = schedule.queue(self._state)

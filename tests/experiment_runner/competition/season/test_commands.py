@@ -57,13 +57,20 @@ def test_who_joins_has_all_that_is_needed_in_a_file(entrance: Entrance, tmp_path
 def test_an_attempt_that_an_image_plays_is_waited_for_and_its_result_is_the_output(
     entrance: Entrance, tmp_path: Path
 ) -> None:
-    playing = {"state": "playing", "attempt": 2, "trial": 1, "trials": 1, "session": "alice"}
-    over = {"state": "over", "attempt": 2, "score": 7.5, "place": 1, "of": 3, "left": 4}
+    playing = {"state": "playing", "attempt": 2, "trial": 1, "trials": 1, "session": "alice", "image": True}
+    over = {"state": "over", "attempt": 2, "image": True, "score": 7.5, "place": 1, "of": 3, "left": 4}
     entrance.replies = [playing, {"state": "verifying", "attempt": 2}, over]
     done = run(tmp_path, "glue-agent", "random", "--season", "season.toml")
-    assert done.stdout == "attempt 2 is over; score 7.5; place 1 of 3; attempts left: 4\n"
+    assert done.stdout == "attempt 2 of your image is over; score 7.5; place 1 of 3; attempts left: 4\n"
     assert "Error" not in done.stderr
+    assert done.stderr.count("and not this program") == 1
     assert entrance.asked == [Attempt("alice"), Attempt("alice", 2), Attempt("alice", 2)]
+
+
+def test_an_attempt_that_is_forfeited_ends_in_failure(entrance: Entrance, tmp_path: Path) -> None:
+    entrance.replies = [{"state": "over", "attempt": 2, "outcome": "forfeited", "why": "its bank is empty"}]
+    done = run(tmp_path, "glue-agent", "random", "--season", "season.toml", status=1)
+    assert done.stdout == "attempt 2 is over; forfeited (its bank is empty)\n"
 
 
 @pytest.mark.parametrize(

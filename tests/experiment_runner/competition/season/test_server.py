@@ -318,7 +318,8 @@ def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(season: Season) -
     season.refuses(Submit("alice", "alice:latest", "alice:1"), "not the id of an image")
     season.ask(alice)
     season.executor.agents["alice"] = None
-    assert "hub" not in season.ask(Attempt("alice"))
+    reply = season.ask(Attempt("alice"))
+    assert ("hub" in reply, reply["image"]) == (False, True)
     season.turns()
     (job,) = season.executor.jobs.values()
     assert (job.entrant.image, job.entrant.id) == ("alice:1", IDS[0])
