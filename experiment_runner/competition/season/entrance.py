@@ -120,6 +120,10 @@ class Rate:
             self._used_until = {one: used for one, used in self._used_until.items() if used > now}
         self._used_until[who] = until
 
+    def give_back(self, who: str) -> None:
+        """Take back that `who` was let do it."""
+        self._used_until[who] = self._used_until.get(who, 0.0) - self._interval
+
 
 def routes(
     directory: Path, now: Callable[[], float] = time.time, proxy: str | None = None
@@ -226,6 +230,7 @@ class _Entrance:
         if entrant in self._uploading:
             raise Denied("another image of this entrant is being received", 429, _RESTART_SECONDS)
         if len(self._uploading) >= _MOST_UPLOADS:
+            self._images.give_back(entrant)  # not by its fault
             raise Denied(f"{_MOST_UPLOADS} images are being received: try again", 503, _RESTART_SECONDS)
         self._uploading.add(entrant)
         try:
@@ -234,6 +239,7 @@ class _Entrance:
             with tempfile.TemporaryFile(dir=self._directory) as file:
                 yield cast("BinaryIO", file)
         except OSError as error:
+            self._images.give_back(entrant)
             why = f"the season's machine cannot keep the image: {error.strerror}; tell its organiser"
             raise Denied(why, 503, 600) from None
         finally:
