@@ -338,8 +338,7 @@ async def _loaded(file: BinaryIO, most: int, directory: Path) -> str:
 def address_of(request: Request, proxy: str | None = None) -> str:
     """Return the address that limits count by; one network of IPv6 is one.
 
-    A proxy on this machine, or at the address `proxy`, says whom it asks for, after whatever that one has sent
-    itself.
+    A proxy, on this machine or at `proxy`, says whom it asks for, after whatever that one has sent itself.
     """
     host = request.client.host if request.client else ""
     try:
