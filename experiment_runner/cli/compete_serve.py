@@ -7,7 +7,7 @@ import secrets
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -19,8 +19,14 @@ from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError, GlueError
 from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
+from glue.system import clock
+
+if TYPE_CHECKING:
+    from experiment_runner.view.server import Place
 
 KEPT: Final = "nothing is lost: start the same command again"
+
+_TRIES: Final = 4
 
 RUN = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
@@ -90,10 +96,8 @@ def serve(
     has_page = of_page["page"] is not None
     if has_page:
         check_view("page")
-        from experiment_runner.view.server import listen
-
         # The page is a process of its own, and started again whenever it ends: here a mistake is told once.
-        listen(place_of_page(of_page["page"], of_page["proxy"], of_page["insecure"])).close()
+        _check_free(place_of_page(of_page["page"], of_page["proxy"], of_page["insecure"]))
     competition = load_competition(file)
     if competition.season is None:
         raise ConfigError(f"{file} has no table [season]: glue-compete run holds its competition")
@@ -120,6 +124,24 @@ def serve(
             with suppress(GlueError, ImportError):  # without an engine there are none
                 remove_others(out)
         say(f"the season is closed; now: glue-compete run {file} --out {out}")
+
+
+def _check_free(place: Place) -> None:
+    """Check that a page can listen at a place; that of a server which was killed may hold it for a moment.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    from experiment_runner.view.server import listen
+
+    for left in reversed(range(_TRIES)):
+        try:
+            listen(place).close()
+            break
+        except ConfigError:
+            if not left:
+                raise
+            clock.sleep(1.0)
 
 
 @click.command()
