@@ -132,7 +132,7 @@ class _Episode:
 
 
 class Game:
-    """The games of one session.
+    """The games of a session, or of several in turn: turns are counted over all of them.
 
     Args:
         options: of the agent.
@@ -182,8 +182,18 @@ class Game:
         self._count(reward)
         self._go(Phase.OVER)
 
+    def rest(self) -> None:
+        """End a task; another one may follow, in this session or in the next."""
+        self._go(Phase.WAITING)
+
+    def renew(self, options: GameOptions) -> None:
+        """Wait for another session, with other options; the last one may have ended at any point."""
+        self.rest()
+        self._options = options
+        self._episode = _Episode()
+
     def close(self) -> None:
-        """End the session: nothing will be asked any more."""
+        """End the last session: nothing will be asked any more."""
         self._go(Phase.CLOSED)
 
     def next_action(self) -> Action | None:
@@ -374,15 +384,18 @@ class LanguageAgent(Agent):
 
     Args:
         options: of the agent.
+        former: an agent whose sessions are over, and whose game goes on; None for a game of its own.
     """
 
     agent_masks = True
 
-    def __init__(self, options: Any) -> None:
+    def __init__(self, options: Any, former: LanguageAgent | None = None) -> None:
         self.options = options
-        self.game: Final = Game(options)
-        self.changed: Final = Condition()
+        self.game: Final = Game(options) if former is None else former.game
+        self.changed: Final = Condition() if former is None else former.changed
         """Guards the game, and is notified when it has changed."""
+        with self.changed:
+            self.game.renew(options)
 
     @property
     @abstractmethod
@@ -421,7 +434,7 @@ class LanguageAgent(Agent):
 
     def agent_cleanup(self) -> None:
         with self.changed:
-            self.game.close()
+            self.game.rest()
             self.changed.notify_all()
 
     def agent_message(self, message: str) -> str:

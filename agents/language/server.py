@@ -2,6 +2,7 @@
 
 The server runs in a thread of its own, so that it answers while the agent waits for the hub or for a step.
 What it remembers is the game, not a client's session: a client that comes again continues where it was.
+A process has one server at an address, for agents in turn, as each trial has its own.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from mcp.server.lowlevel import Server
 
 _HOST: Final = "127.0.0.1"
-_STDIO: Final = "mcp over stdio"
 _PATIENCE: Final = 3.0
 """Seconds for which a call waits for the game; then it is answered all the same."""
 
@@ -79,24 +79,29 @@ class MCPAgent(LanguageAgent):
     Options: ClassVar[type] = Options
 
     def __init__(self, **options: Value | None) -> None:
-        super().__init__(Options(**options))  # type: ignore[arg-type]  # checked by `glue.options.build`
+        made = Options(**options)  # type: ignore[arg-type]  # checked by `glue.options.build`
+        port = made.port
+        former = _NEWEST.get(port)
+        super().__init__(made, former)
         if find_spec("mcp") is None:
             raise ConfigError("the agent mcp needs the protocol's SDK: pip install 'glue-rl[mcp]'")
-        self.instructed: list[Any] = []
+        self.instructed: list[Any] = [] if former is None else former.instructed
         """Objects of the SDK whose `instructions` a client is shown; guarded by `changed`."""
-        port = self.options.port
-        if port is None and any(thread.name == _STDIO for thread in threading.enumerate()):
-            raise ConfigError("stdio serves one session: give others a port", settings=("port",))
-        serve = self._serve_stdio if port is None else partial(self._serve_http, _listen(port))
-        self._thread = threading.Thread(target=serve, name=_STDIO if port is None else None, daemon=True)
-        self._thread.start()
-        atexit.register(self._leave)
+        if former is None:
+            serve = self._serve_stdio if port is None else partial(self._serve_http, _listen(port))
+            self._thread = threading.Thread(target=serve, daemon=True)
+            self._thread.start()
+            atexit.register(self._leave)
+        _NEWEST[port] = self
 
     @property
     def how(self) -> str:
         return _HOW
 
     def agent_init(self, task_spec: str) -> None:
+        if _NEWEST[self.options.port] is not self:
+            where = "stdio" if self.options.port is None else f"port {self.options.port}"
+            raise ConfigError(f"{where} serves one session: give others a port", settings=("port",))
         super().agent_init(task_spec)
         with self.changed:
             for instructed in self.instructed:
@@ -130,9 +135,15 @@ class MCPAgent(LanguageAgent):
 
     def _leave(self) -> None:
         """Answer a client's last calls, too; after a whole session it may take its time to call again."""
-        whole = self.game.phase is Phase.CLOSED and self.options.port is None
-        self.agent_cleanup()
-        self._thread.join(None if whole else _GRACE)
+        with self.changed:
+            played = self.game.phase is Phase.WAITING and self.game.turn > 0
+            self.game.close()
+            self.changed.notify_all()
+        self._thread.join(None if played and self.options.port is None else _GRACE)
+
+
+_NEWEST: Final[dict[int | None, MCPAgent]] = {}
+"""The newest agent of each address: of a port, or None for stdio. Its game is that of all before it there."""
 
 
 def play(agent: LanguageAgent, tool: str, arguments: Mapping[str, Any]) -> Answer:

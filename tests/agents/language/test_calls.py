@@ -11,7 +11,7 @@ import pytest
 
 from agents.language import server
 from agents.language.game import GameOptions, GameOver, LanguageAgent, Phase
-from agents.language.server import play
+from agents.language.server import MCPAgent, play
 from env_server.toys import SkeletonEnvironment
 from glue import Action, ConfigError, Environment, Step, local, make_agent
 
@@ -64,8 +64,9 @@ def test_a_game_is_played_by_calls_from_another_thread() -> None:
         assert play(agent, "act", call) is first
         assert play(agent, "look", {}).data["turn"] == 3
         assert play(agent, "give_up", {"turn": 3}).data["forfeit"]
-        with pytest.raises(GameOver):
-            play(agent, "look", {})
+    agent.game.close()
+    with pytest.raises(GameOver):
+        play(agent, "look", {})
     assert agent.agent_metrics().items() > {"forfeits": 1.0, "illegal": 0.0, "choices": 1.0}.items()
     assert agent.game.record()["answers"] == [{"turn": 3, "answer": '{"turn": 3}'}]
 
@@ -109,6 +110,25 @@ def test_a_call_is_answered_however_long_the_game_takes(monkeypatch: pytest.Monk
         while "Repeat this call" in (answer := play(agent, "act", call)).text:
             pass
     assert answer.data["steps"] == 10
+
+
+def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each trial has an agent of its own, and the client of the first plays all of them."""
+    monkeypatch.setattr(server, "_NEWEST", {})
+    monkeypatch.setattr(server, "_PATIENCE", 0.05)
+    monkeypatch.setattr(server, "find_spec", lambda name: True)
+    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
+    first = agent = MCPAgent()
+    for turn in (1, 3):
+        with session(agent):
+            while first.game.phase is not Phase.CHOOSING:
+                play(first, "look", {})
+            assert play(first, "give_up", {"turn": turn}).data["episode"] == 1
+        assert play(first, "look", {}).data["over"]  # and no error: the session may not be the last one
+        agent = MCPAgent()
+        assert "has not begun" in play(first, "look", {}).text
+    with pytest.raises(ConfigError, match="stdio serves one session"):
+        first.agent_init(SkeletonEnvironment().env_init())
 
 
 def test_without_the_sdk_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
