@@ -83,8 +83,10 @@ class MCPAgent(LanguageAgent):
         port = made.port
         former = _NEWEST.get(port)
         super().__init__(made, former)
-        if find_spec("mcp") is None:
-            raise ConfigError("the agent mcp needs the protocol's SDK: pip install 'glue-rl[mcp]'")
+        if find_spec("mcp") is None or find_spec("mcp_types") is None:
+            raise ConfigError(
+                "the agent mcp needs version 2 of the protocol's SDK: pip install 'glue-rl[mcp]'"
+            )
         self.instructed: list[Any] = [] if former is None else former.instructed
         """Objects of the SDK whose `instructions` a client is shown; guarded by `changed`."""
         if former is None:

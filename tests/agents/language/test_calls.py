@@ -131,7 +131,10 @@ def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch
         first.agent_init(SkeletonEnvironment().env_init())
 
 
-def test_without_the_sdk_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "find_spec", lambda name: None)
+@pytest.mark.parametrize("installed", [[], ["mcp"]])
+def test_without_version_2_of_the_sdk_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, installed: list[str]
+) -> None:
+    monkeypatch.setattr(server, "find_spec", lambda name: name in installed or None)
     with pytest.raises(ConfigError, match=r"glue-rl\[mcp\]"):
         make_agent("mcp")

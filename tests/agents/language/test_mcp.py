@@ -103,6 +103,11 @@ def test_over_http_but_not_through_a_page_of_another_site(
         connection.close()
 
 
+async def look_to_the_end(client: Any) -> None:
+    while True:
+        await call(client, "look")
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_over_stdio_from_the_first_call_to_the_last(mode: str, tmp_path: Path) -> None:
     """It answers before there is a hub, plays a recorded experiment, and says in the end that it is over."""
@@ -122,8 +127,7 @@ def test_over_stdio_from_the_first_call_to_the_last(mode: str, tmp_path: Path) -
         assert (await call(client, "give_up", turn=2)).structured_content["over"]
         assert started[0].wait(60) == 0
         with pytest.raises(mcp.MCPError, match="the session has ended"):
-            while True:
-                await call(client, "look")
+            await look_to_the_end(client)
 
     talk(lambda: mcp.stdio_client(command), mode, whole)
     assert forked.run("glue-replay", "--check", "run.traj", cwd=tmp_path).returncode == 0
