@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -217,11 +218,11 @@ def read_choice(text: str) -> tuple[list[str] | None, str]:
     The actions are None if there is no such line.
     """
     for line in reversed(text.splitlines()):
-        plain = line.strip(_DRESS).rstrip(".")
+        plain = line.lstrip(f"-{_DRESS}").rstrip(_DRESS).rstrip(".")
         if plain.lower() == "give up":
             return [], Until.END
         if plain.lower().startswith("act:"):
-            actions, _, until = plain[4:].partition(" until ")
-            names = [name.strip(_DRESS) for name in actions.split(",")]
-            return names, until.strip().lower() or Until.END
+            actions, *until = re.split(r"[\s,]until\s", plain[4:], maxsplit=1, flags=re.IGNORECASE)
+            names = [name.strip(_DRESS) for name in actions.rstrip(f",{_DRESS}").split(",")]
+            return names, until[0].strip(_DRESS).lower() if until else Until.END
     return None, Until.END
