@@ -155,8 +155,9 @@ class ChatAgent(LanguageAgent):
 
     def choose(self) -> None:
         turn = self.game.turn
-        shown = self.game.answer(turn - 1) or self.game.view()
-        question = {"role": "user", "content": shown.text}
+        answer, view = self.game.answer(turn - 1), self.game.view()
+        illegal = f"{answer.text}\n" if answer is not None and answer.error else ""
+        question = {"role": "user", "content": illegal + view.text}
         reply = self._ask([{"role": "system", "content": self.prompt}, *self._history, question])
         if reply is None:
             return

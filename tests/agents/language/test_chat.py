@@ -123,7 +123,10 @@ def test_a_model_plays_with_the_rules_its_history_and_its_sampling() -> None:
     assert [message["role"] for message in first["messages"]] == ["system", "user"]
     assert "The left end pays -1" in first["messages"][0]["content"]
     assert "Turn 1." in first["messages"][1]["content"]
-    assert "Illegal: no list of actions was given" in second["messages"][-1]["content"]
+    illegal = second["messages"][-1]["content"]
+    assert illegal.startswith("Illegal: no list of actions was given")
+    assert "Turn 2." in illegal
+    assert illegal.count("@") == 1
     assert len(third["messages"]) == 4  # the rules, one earlier choice and its answer, and the question
     counts = {"choices": 3, "illegal": 1, "repeated": 0, "forfeits": 0, "tokens_in": 30, "tokens_out": 12}
     assert record["counts"].items() > counts.items()
