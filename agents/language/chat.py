@@ -182,8 +182,8 @@ class ChatAgent(LanguageAgent):
                 if (wait := next(waits, None)) is None:
                     raise
                 LOG.warning("%s; asking again in %g s", error, wait)
-                self.game.counts.repeated += 1
                 sleep(min(wait, self.game.time_left))
+                self.game.counts.repeated += self.game.time_left > 0
         return None
 
 

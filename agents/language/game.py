@@ -346,6 +346,8 @@ class Game:
 
     def _forfeit(self, why: str) -> None:
         self.counts.forfeits += 1
+        if self.phase is Phase.CHOOSING:
+            self.counts.seconds += self._clock() - self._asked
         self._episode.forfeit = why
         self.phase = Phase.OVER
 

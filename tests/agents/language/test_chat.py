@@ -164,7 +164,9 @@ def test_an_endpoint_without_time_left_forfeits_the_episode() -> None:
         agent.agent_init(SkeletonEnvironment().env_init())
         assert agent.agent_start(Observation([10])).ints.tolist() == [0]
         asked.set()
-    assert json.loads(agent.agent_message("record"))["counts"]["forfeits"] == 1
+    counts = json.loads(agent.agent_message("record"))["counts"]
+    assert (counts["forfeits"], counts["repeated"]) == (1, 0)
+    assert counts["seconds"] >= 0.2
 
 
 def test_every_episode_is_verified_by_replay_of_its_actions(tmp_path: Path) -> None:

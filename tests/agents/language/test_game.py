@@ -183,7 +183,11 @@ def test_legal_actions_time_and_steps_left_are_told_and_used_up_time_forfeits() 
     assert table.game.time_left == 6.0
     table.now += 7
     table.run(1)
-    assert table.game.look().data["forfeit"]
+    forfeit = table.game.look()
+    assert forfeit.data["forfeit"]
+    assert "its time is used up" in forfeit.text
+    assert "0 s left" in forfeit.text
+    assert table.game.counts.seconds == 11.0
     assert table.played[-1] == 0
 
 
