@@ -168,14 +168,14 @@ class Game:
         self._go(Phase.OVER)
         self._episode = _Episode(self._episode.number + 1, observation)
         self.turn += 1
-        self._go(Phase.CHOOSING)
+        self._next()
 
     def step(self, reward: float, observation: Observation) -> None:
         """Take the result of the last action."""
         self._episode.seen = observation
         self._count(reward)
-        if self.phase is Phase.PLAYING and (self._stops(reward) or not self._goes_on()):
-            self._go(Phase.CHOOSING)
+        if not self._episode.forfeit and (self._is_last or self._stops(reward) or not self._goes_on()):
+            self._next()
 
     def end(self, reward: float) -> None:
         """Take the last reward of an episode."""
@@ -350,6 +350,15 @@ class Game:
             self.counts.seconds += self._clock() - self._asked
         self._episode.forfeit = why
         self.phase = Phase.OVER
+
+    @property
+    def _is_last(self) -> bool:
+        """Whether the experiment ends the episode now, if its limit is the one that was told."""
+        return self._episode.steps == self._options.steps - 1
+
+    def _next(self) -> None:
+        """Ask for the next choice, unless the experiment does not take it any more."""
+        self._go(Phase.OVER if self._is_last else Phase.CHOOSING)
 
     def _count(self, reward: float) -> None:
         self._episode.steps += 1

@@ -191,6 +191,19 @@ def test_legal_actions_time_and_steps_left_are_told_and_used_up_time_forfeits() 
     assert table.played[-1] == 0
 
 
+def test_a_choice_that_the_step_limit_cuts_off_is_not_asked_for() -> None:
+    table = Table(steps=4)
+    answer = table.act(1, "right*2")
+    assert (answer.data["steps_left"], answer.data["over"]) == (1, False)
+    table.game.act(2, ["right*5"])
+    table.run(1)
+    assert table.answer(2).data.items() > {"turn": 3, "steps": 3, "steps_left": 0, "over": True}.items()
+    table.run(1)  # stands still, and asks again, as the limit was another one
+    assert table.played == [1, 1, 1, 0]
+    assert table.game.next_action() is None
+    assert table.act(3, "right").data["steps"] == 5
+
+
 def test_raw_answers_are_kept_within_bounds(table: Table) -> None:
     for number in range(30):
         table.game.note(f"{number} \x1b[2J \ud800 " + '"ä' * number * 70, 3, 2)
