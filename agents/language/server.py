@@ -13,9 +13,11 @@ import json
 import os
 import signal
 import socket
+import stat
 import threading
 from base64 import b64encode
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -90,6 +92,11 @@ class MCPAgent(LanguageAgent):
         self.instructed: list[Any] = [] if former is None else former.instructed
         """Objects of the SDK whose `instructions` a client is shown; guarded by `changed`."""
         if former is None:
+            if port is None and not _has_client():
+                raise ConfigError(
+                    "standard input is no client's: give mcp a port, or let the client start glue-agent mcp",
+                    settings=("port",),
+                )
             serve = self._serve_stdio if port is None else partial(self._serve_http, _listen(port))
             self._thread = threading.Thread(target=serve, daemon=True)
             self._thread.start()
@@ -141,7 +148,8 @@ class MCPAgent(LanguageAgent):
             played = self.game.phase is Phase.WAITING and self.game.turn > 0
             self.game.close()
             self.changed.notify_all()
-        self._thread.join(None if played and self.options.port is None else _GRACE)
+        with suppress(KeyboardInterrupt):  # An experiment that Ctrl-C has ended need not wait.
+            self._thread.join(None if played and self.options.port is None else _GRACE)
 
 
 _NEWEST: Final[dict[int | None, MCPAgent]] = {}
@@ -214,6 +222,13 @@ def make_server(agent: MCPAgent) -> Server[Any]:
         server = Server("glue-rl", **names, on_list_tools=list_tools, on_call_tool=call_tool)
         agent.instructed.append(server)
     return server
+
+
+def _has_client() -> bool:
+    """Return whether standard input can be a client's: it is there, and no terminal or null device."""
+    with suppress(OSError):
+        return not stat.S_ISCHR(os.fstat(0).st_mode)
+    return False
 
 
 def _listen(port: int) -> socket.socket:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
@@ -117,6 +118,7 @@ def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(server, "_NEWEST", {})
     monkeypatch.setattr(server, "_PATIENCE", 0.05)
     monkeypatch.setattr(server, "find_spec", lambda name: True)
+    monkeypatch.setattr(server, "_has_client", lambda: True)
     monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
     first = agent = MCPAgent()
     for turn in (1, 3):
@@ -129,6 +131,15 @@ def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch
         assert "has not begun" in play(first, "look", {}).text
     with pytest.raises(ConfigError, match="stdio serves one session"):
         first.agent_init(SkeletonEnvironment().env_init())
+
+
+def test_an_experiment_has_no_client_at_its_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_NEWEST", {})
+    monkeypatch.setattr(server, "find_spec", lambda name: True)
+    nothing = os.stat(os.devnull)
+    monkeypatch.setattr(server.os, "fstat", lambda descriptor: nothing)
+    with pytest.raises(ConfigError, match="standard input is no client's: give mcp a port"):
+        make_agent("mcp")
 
 
 @pytest.mark.parametrize("installed", [[], ["mcp"]])

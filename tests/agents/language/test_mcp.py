@@ -33,8 +33,9 @@ WITH_SDK = "runs in the tests, where the SDK is installed"
 
 @pytest.fixture(autouse=True)
 def _first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the first agent of each test be that of a process."""
+    """Let the first agent of each test be that of a process which a client has started."""
     monkeypatch.setattr(server, "_NEWEST", {})
+    monkeypatch.setattr(server, "_has_client", lambda: True)
 
 
 def talk(where: object, mode: str, *steps: Callable[[Any], Awaitable[None]]) -> None:
