@@ -39,6 +39,9 @@ _PATIENCE: Final = 3.0
 _GRACE: Final = 2.0
 """Seconds for which the last answers may arrive, over HTTP or after a signal."""
 
+_MOST_CALLS: Final = 500
+"""Calls that wait at once, each in a thread; more than these wait for one of them."""
+
 _HOW: Final = """Call look first, and in each new episode. act takes a choice for the current turn, and waits
 until it has been played; a call that was lost is repeated as it was. give_up ends the episode with what
 standing still earns. Nothing resets the game: the experiment begins each episode."""
@@ -187,10 +190,12 @@ def play(agent: LanguageAgent, tool: str, arguments: Mapping[str, Any]) -> Answe
 def make_server(agent: MCPAgent) -> Server[Any]:
     """Return the server by which a client plays as `agent`."""
     import mcp_types as types
+    from anyio import CapacityLimiter
     from anyio.to_thread import run_sync
     from mcp.server.lowlevel import Server
     from mcp.shared.exceptions import MCPError
 
+    limiter = CapacityLimiter(_MOST_CALLS)
     tools = []
     for name, (text, properties) in _TOOLS.items():
         required = [each for each in properties if each in ("turn", "actions")]
@@ -205,7 +210,9 @@ def make_server(agent: MCPAgent) -> Server[Any]:
         if params.name not in _TOOLS:
             raise MCPError(types.INVALID_PARAMS, f"there is no tool {params.name!r:.80}")
         try:
-            answer = await run_sync(play, agent, params.name, params.arguments or {}, abandon_on_cancel=True)
+            answer = await run_sync(
+                *(play, agent, params.name, params.arguments or {}), abandon_on_cancel=True, limiter=limiter
+            )
         except GameOver as error:
             raise MCPError(types.INVALID_REQUEST, str(error)) from None
         except GlueError as error:

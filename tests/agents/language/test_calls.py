@@ -132,6 +132,14 @@ def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(ConfigError, match="stdio serves one session"):
         first.agent_init(SkeletonEnvironment().env_init())
 
+    def interrupted(seconds: float | None) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(first._thread, "join", interrupted)
+    first._leave()
+    with pytest.raises(GameOver):
+        play(first, "look", {})
+
 
 def test_an_experiment_has_no_client_at_its_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "_NEWEST", {})

@@ -9,12 +9,14 @@ from collections.abc import Awaitable, Callable
 from http.client import HTTPConnection
 from pathlib import Path
 from subprocess import PIPE, Popen
+from threading import Barrier
 from typing import Any
 
 import anyio
 import pytest
 
 from agents.language import server
+from agents.language.game import Answer
 from agents.language.server import MCPAgent, make_server
 from env_server.toys import MinesEnvironment
 from glue.errors import ConfigError
@@ -141,6 +143,25 @@ def test_a_signal_ends_it_while_its_client_stays(tmp_path: Path) -> None:
         assert b"waiting for one" in agent.stderr.readline()
         agent.terminate()
         assert agent.wait(60) == 143
+
+
+def test_many_calls_wait_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    together = Barrier(60, timeout=60)
+
+    def wait(agent: object, tool: str, arguments: object) -> Answer:
+        together.wait()
+        return Answer("", {})
+
+    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
+    monkeypatch.setattr(server, "play", wait)
+
+    async def looks(client: Any) -> None:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(60):
+                tasks.start_soon(call, client, "look")
+
+    talk(make_server(MCPAgent()), "auto", looks)
+    assert not together.broken
 
 
 def test_mario_is_shown_as_an_image_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
