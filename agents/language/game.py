@@ -402,8 +402,8 @@ class LanguageAgent(Agent):
 
     def __init__(self, options: Any, former: LanguageAgent | None = None) -> None:
         self.options = options
-        self.game: Final = Game(options) if former is None else former.game
-        self.changed: Final = Condition() if former is None else former.changed
+        self.game: Final[Game] = Game(options) if former is None else former.game
+        self.changed: Final[Condition] = Condition() if former is None else former.changed
         """Guards the game, and is notified when it has changed."""
         with self.changed:
             self.game.renew(options)

@@ -210,9 +210,8 @@ def make_server(agent: MCPAgent) -> Server[Any]:
         if params.name not in _TOOLS:
             raise MCPError(types.INVALID_PARAMS, f"there is no tool {params.name!r:.80}")
         try:
-            answer = await run_sync(
-                *(play, agent, params.name, params.arguments or {}), abandon_on_cancel=True, limiter=limiter
-            )
+            call = partial(play, agent, params.name, params.arguments or {})
+            answer = await run_sync(call, abandon_on_cancel=True, limiter=limiter)
         except GameOver as error:
             raise MCPError(types.INVALID_REQUEST, str(error)) from None
         except GlueError as error:

@@ -145,7 +145,7 @@ def test_an_experiment_has_no_client_at_its_standard_input(monkeypatch: pytest.M
     monkeypatch.setattr(server, "_NEWEST", {})
     monkeypatch.setattr(server, "find_spec", lambda name: True)
     nothing = os.stat(os.devnull)
-    monkeypatch.setattr(server.os, "fstat", lambda descriptor: nothing)
+    monkeypatch.setattr("os.fstat", lambda descriptor: nothing)
     with pytest.raises(ConfigError, match="standard input is no client's: give mcp a port"):
         make_agent("mcp")
 
