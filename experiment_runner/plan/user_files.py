@@ -50,8 +50,8 @@ def user_files(players: Sequence[RoleSpec | RoleSweep]) -> dict[str, UserFile]:
 def changed_files(recorded: Mapping[str, str], present: Mapping[str, UserFile]) -> list[str]:
     """Return the paths of the files that differ from those recorded, given by path and SHA-256.
 
-    A module that is not loaded may be later. Any other file that is not has been that of an option, whose name
-    now stands for another file or for none; it may have been moved, as with all of a run's.
+    A module that is not loaded may be later. Any other file that is not was named by an option, whose value
+    now stands for another file, or for none, unless the file was moved.
     """
     moved = {(Path(path).name, file.sha256) for path, file in present.items()}
     return [
