@@ -408,8 +408,8 @@ def build_environment(run: RecordedRun) -> Environment:
     for name in run.options:
         if (digest := f"{name}_digest") in known and digest not in run.options:
             raise ConfigError(
-                f"the recording names a file as {name}, but not its SHA-256 as {digest}: name the environment "
-                "and the file yourself"
+                f"the recording names a file as {name}, but not its SHA-256 as {digest}: name both "
+                "environment and file yourself"
             )
     return make(run.environment, **run.options)
 
