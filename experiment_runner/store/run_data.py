@@ -64,11 +64,11 @@ def written(path: Path) -> Iterator[Path]:
     Raises:
         ExperimentError: the file cannot be written.
     """
-    target = path.resolve()  # a symbolic link is not replaced
     with reported(f"cannot write {path}"):
-        if target.exists() and not target.is_file():
-            yield target
+        if path.exists() and not path.is_file():
+            yield path  # a pipe has no other: a link to it leads to no path
             return
+        target = path.resolve()  # a symbolic link is not replaced
         partial = target.with_name(f".{target.name}.{os.getpid()}")
         try:
             yield partial

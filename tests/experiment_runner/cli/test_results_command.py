@@ -257,9 +257,12 @@ def test_export_writes_through_links_and_to_devices_without_replacing_them(run: 
     assert (tmp_path / "target").read_text() == call("export", run)
     os.mkfifo(tmp_path / "pipe")
     reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    call("export", run, "--out", tmp_path / "pipe")
-    assert os.read(reader, 1 << 16).decode() == call("export", run)
-    os.close(reader)
+    nameless = os.pipe()
+    for pipe, reading in ((tmp_path / "pipe", reader), (Path(f"/dev/fd/{nameless[1]}"), nameless[0])):
+        call("export", run, "--out", pipe)
+        assert os.read(reading, 1 << 16).decode() == call("export", run)
+    for descriptor in (reader, *nameless):
+        os.close(descriptor)
     assert (tmp_path / "pipe").is_fifo()
 
 
