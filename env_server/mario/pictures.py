@@ -317,8 +317,8 @@ class _Reader:
         end = len(row) - len(row[begin:].lstrip(_PIPE))
         if (end - begin) % 2 == 0 or row[end : end + 1] == ">":
             return False
-        here = self._whole_pipes[:, begin:end].any(1)
-        return bool(here[1 - begin % 2] and not here[begin % 2])
+        even, odd = (bool(columns[begin:end].any()) for columns in self._whole_pipes)
+        return even and not odd if begin % 2 else odd and not even
 
     def _check_pipes(self) -> None:
         """Check that each half of a pipe stands in two columns that have a whole part of one."""

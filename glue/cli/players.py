@@ -242,7 +242,7 @@ def _serve_openenv(make: Callable[[], Any], name: str, address: str, insecure: b
     for option in ("_hub", "_session", "_key", "_hub_key", "_wait", "_quiet", "_batch", "_render"):
         if context.get_parameter_source(option) is ParameterSource.COMMANDLINE:
             flag = option.replace("_", "-").lstrip("-")
-            raise ConfigError(f"--openenv serves a game to each connection, without a hub: leave out --{flag}")
+            raise ConfigError(f"--openenv serves each client a game, without a hub: leave out --{flag}")
     serve(make, name, address, insecure=insecure)
 
 
