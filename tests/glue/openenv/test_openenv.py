@@ -387,11 +387,13 @@ def test_command_serves_until_it_is_interrupted() -> None:
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         (url,) = next(found for line in process.stderr if (found := re.findall(r"http://\S+", line)))
-        with GenericEnvClient(url).sync() as client:
-            mask = client.reset(seed=1).metadata["action_mask"]
-            with pytest.raises(RuntimeError, match="is illegal"):
-                client.step({"action": mask.index(0)})
-        process.send_signal(signal.SIGINT)
+        try:
+            with GenericEnvClient(url).sync() as client:
+                mask = client.reset(seed=1).metadata["action_mask"]
+                with pytest.raises(RuntimeError, match="is illegal"):
+                    client.step({"action": mask.index(0)})
+        finally:
+            process.send_signal(signal.SIGINT)
         assert process.wait(60) == 130
 
 
