@@ -239,12 +239,16 @@ def test_answer_that_is_no_step_is_refused(answer: dict[str, Any] | None, expect
                 data |= answer
             client.send(json.dumps({"type": "observation", "data": data}))
 
-    env = glue.make(f"openenv:{echo}", max_text=32, timeout=60.0 if answer else 0.5)
+    env: Any = glue.make(f"openenv:{echo}", max_text=32, timeout=50.0)
     with serve_websockets(play, "127.0.0.1", 0) as server:
         threading.Thread(target=server.serve_forever).start()
-        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"  # type: ignore[attr-defined]
+        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"
         env.env_init()
         env.env_start()
+        client = env._client.async_client
+        assert client._message_timeout == 50.0
+        if answer is None:  # it is waited for in vain; what came before may have taken longer
+            env._timeout = client._message_timeout = 0.5
         with pytest.raises(SimulatorError, match=expected):
             step(env, 0, "")
         env.env_cleanup()
