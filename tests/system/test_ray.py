@@ -65,7 +65,6 @@ def test_engines_agree(cluster: str, tmp_path: Path) -> None:
     plan = (*SARSA, "--episodes", 40, "--trials", 4)
     for how, name in (
         (("--in-process",), "one"),
-        (("--in-process", "--workers", 2), "workers"),
         (("--in-process", "--engine", "ray", "--address", cluster), "ray"),
         (("--engine", "ray", "--address", cluster, "--workers", 2), "ray with players of their own"),
     ):

@@ -14,7 +14,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -222,6 +222,19 @@ def test_schema_that_drips_is_not_waited_for() -> None:
             glue.make(f"openenv:http://127.0.0.1:{listening.getsockname()[1]}", timeout=0.2)
 
 
+@contextmanager
+def begun(echo: str, play: Callable[[ServerConnection], None], **options: float) -> Iterator[Any]:
+    """Yield an environment in an episode of `play`, which takes the place of the server behind it."""
+    env: Any = glue.make(f"openenv:{echo}", max_text=32, **options)
+    with serve_websockets(play, "127.0.0.1", 0) as server:
+        threading.Thread(target=server.serve_forever).start()
+        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"
+        env.env_init()
+        env.env_start()
+        yield env
+        env.env_cleanup()
+
+
 @pytest.mark.parametrize(
     ("answer", "expected"),
     [
@@ -243,15 +256,13 @@ def test_answer_that_is_no_step_is_refused(answer: dict[str, Any] | None, expect
                 data |= answer
             client.send(json.dumps({"type": "observation", "data": data}))
 
-    env = glue.make(f"openenv:{echo}", max_text=32, timeout=60.0 if answer else 0.5)
-    with serve_websockets(play, "127.0.0.1", 0) as server:
-        threading.Thread(target=server.serve_forever).start()
-        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"  # type: ignore[attr-defined]
-        env.env_init()
-        env.env_start()
+    with begun(echo, play, timeout=50.0) as env:
+        client = env._client.async_client
+        assert client._message_timeout == 50.0
+        if answer is None:  # it is waited for in vain; what came before may have taken longer
+            env._timeout = client._message_timeout = 0.5
         with pytest.raises(SimulatorError, match=expected):
             step(env, 0, "")
-        env.env_cleanup()
 
 
 def test_episode_is_not_continued_over_another_connection(echo: str) -> None:
@@ -262,17 +273,11 @@ def test_episode_is_not_continued_over_another_connection(echo: str) -> None:
             client.send(json.dumps({"type": "observation", "data": {"observation": value, "done": False}}))
         # Returning closes the connection.
 
-    env = glue.make(f"openenv:{echo}", max_text=32)
-    with serve_websockets(play, "127.0.0.1", 0) as server:
-        threading.Thread(target=server.serve_forever).start()
-        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"  # type: ignore[attr-defined]
-        env.env_init()
-        env.env_start()
+    with begun(echo, play) as env:
         step(env, 0, "")
         with pytest.raises(SimulatorError, match="closed the connection in the middle of an episode"):
             step(env, 0, "")
         env.env_start()
-        env.env_cleanup()
 
 
 def test_our_environment_plays_with_openenvs_client_as_it_plays_here(mines: str) -> None:
