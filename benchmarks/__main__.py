@@ -13,7 +13,7 @@ from benchmarks.page import FILE, ORDER, beside_other_work, draw, merged, sectio
 _PARTS = tuple(name for name in ORDER if name != "notes")
 _ELSEWHERE = ("gym", "soar")
 """Parts whose numbers are on other pages."""
-_BY_NAME = ("clients", "memory", "season", "view")
+_BY_NAME = ("clients", "memory", "realtime", "season", "view")
 """Parts that are measured only when named: they take long, or have to be built first."""
 _WRITE = "--write"
 

@@ -258,5 +258,5 @@ def listening(transport: str) -> Iterator[Hub]:
     """Yield a hub of this process, with an address of `transport`."""
     with tempfile.TemporaryDirectory() as folder:
         address = f"ipc://{folder}/hub" if transport == "ipc" else "tcp://127.0.0.1:*"
-        with Hub(HubConfig(bind=(address,), max_sessions=2048)).in_background() as hub:
+        with Hub(HubConfig(bind=(address,), max_sessions=4096)).in_background() as hub:
             yield hub

@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,13 @@ _RATES = (24.0, 100.0)
 _SECONDS = 20.0
 _PROGRAM = (sys.executable, "-m", "benchmarks.players", "agent", _MARIO)
 _COMPILED = os.environ.get("GLUE_CPP_RANDOM", str(_ROOT / "clients/cpp/build/random"))
+_PLAYERS: dict[str, tuple[Sequence[str], bool]] = {
+    "Python": (_PROGRAM, False),
+    "C++": ((_COMPILED,), False),
+    "Python, encrypted": (_PROGRAM, True),
+}
+"""The program of each player, and whether it has keys."""
+_LOOP = (sys.executable, "-c", "while True: pass")
 _TASK = (
     "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (23 UNSPEC UNSPEC) "
     "DOUBLES (44 UNSPEC UNSPEC) CHARCOUNT 352 ACTIONS INTS (0 1) REWARDS (-1 1)"
@@ -59,23 +66,23 @@ class _Timed(Walk):
 
 
 def run() -> list[Table]:
-    """Measure players in time, and one that is stopped for a second."""
-    return [_in_time(), _stopped()]
+    """Measure players in time, alone and under load, and one that is stopped for a second."""
+    if not Path(_COMPILED).exists():
+        sys.exit(
+            f"{_COMPILED} is missing: build it by "
+            "`cmake -S clients/cpp -B clients/cpp/build && cmake --build clients/cpp/build`"
+        )
+    alone = _in_time("Without waiting")
+    with ExitStack() as loops:
+        for _ in range(os.cpu_count() or 1):
+            loops.enter_context(_started(_LOOP, os.environ))
+        loaded = _in_time("Without waiting, under load", " A busy loop runs for each core.")
+    return [alone, loaded, _stopped()]
 
 
-def _players() -> dict[str, tuple[Sequence[str], bool]]:
-    """Return the program of each player, and whether it has keys."""
-    compiled: dict[str, tuple[Sequence[str], bool]] = {"C++": ((_COMPILED,), False)}
-    return {
-        "Python": (_PROGRAM, False),
-        **(compiled if Path(_COMPILED).exists() else {}),
-        "Python, encrypted": (_PROGRAM, True),
-    }
-
-
-def _in_time() -> Table:
+def _in_time(title: str, also: str = "") -> Table:
     rows = []
-    for name, (program, keyed) in _players().items():
+    for name, (program, keyed) in _PLAYERS.items():
         for rate in _RATES:
             with _played(program, keyed, rate) as (play, environment, _):
                 late = play(int(_SECONDS * rate))
@@ -87,10 +94,10 @@ def _in_time() -> Table:
     about = (
         f"An agent in a process of its own, over tcp, for {_SECONDS:g} s; the environment, in the hub's "
         "process, shows observations of Mario's size. Off is how far a step's distance from the one before "
-        "differs from a period, in ms."
+        f"differs from a period, in ms.{also}"
     )
     columns = ("player", "rate, Hz", "off, median", "off, 99 %", "off, most", "steps/s", "late")
-    return Table("Without waiting", about, columns, rows)
+    return Table(title, about, columns, rows)
 
 
 def _stopped() -> Table:

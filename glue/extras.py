@@ -7,6 +7,7 @@ floats. Nothing nests.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import Enum
 from typing import Any, Final
 
 import msgpack
@@ -25,8 +26,8 @@ MAX_EXTRAS_SIZE: Final = 2**16 - 1
 """Maximum size of all extras of an observation, in bytes."""
 
 Extra = int | float | str | bytes | tuple[int, ...] | tuple[float, ...]
-GivenExtra = Extra | list[int] | list[float] | np.generic | npt.NDArray[Any]
-"""The values that an environment may give: also lists, and NumPy's numbers and their flat arrays."""
+GivenExtra = Extra | list[int] | list[float] | Enum | np.generic | npt.NDArray[Any]
+"""The values that an environment may give: also lists, NumPy's scalars and flat arrays, members of enums."""
 
 _INT64: Final = range(-(2**63), 2**63)
 _ALLOWED: Final = "a number, a text, bytes, or a flat list of ints or of floats"
@@ -75,22 +76,29 @@ def unpack_extras(packed: bytes) -> dict[str, Extra]:
             f"{str(error) or type(error).__name__}"
         ) from None
     if type(pairs) is not tuple:
-        raise RemoteProtocolError(f"the extras of an observation are a map, not {pairs!r:.40}")
+        raise RemoteProtocolError(f"the environment sent extras that are {pairs!r:.40} instead of a map")
     for name, value in pairs:
         if why := _fault(name, value):
-            raise RemoteProtocolError(f"{why}; {value!r:.40} was received")
+            raise RemoteProtocolError(f"the environment sent {value!r:.40} as an extra, but {why}")
     extras = {name: tuple(value) if type(value) is list else value for name, value in pairs}
     if len(extras) != len(pairs):
-        raise RemoteProtocolError("two extras of an observation have the same name")
+        raise RemoteProtocolError("the environment sent two extras with the same name")
     return extras
 
 
 def _plain(value: GivenExtra) -> Any:
-    """Return a value as Python's own numbers, in a list if there are several."""
-    if isinstance(value, np.generic | np.ndarray) and value.ndim <= 1 and value.dtype.kind in "biuf":
+    """Return a value as Python's own, in a list if there are several."""
+    if isinstance(value, np.ndarray) and value.ndim <= 1 and value.dtype.kind in "biuf":
         value = value.tolist()
-    if isinstance(value, tuple):
-        value = list(value)
+    return [_scalar(one) for one in value] if isinstance(value, list | tuple) else _scalar(value)
+
+
+def _scalar(value: Any) -> Any:
+    """Return a number, text or bytes of NumPy or of an enum as Python's own, anything else as it is."""
+    if isinstance(value, Enum):
+        value = value.value
+    if isinstance(value, np.generic) and value.dtype.kind in "biufSU":
+        value = value.item()
     return int(value) if type(value) is bool else value
 
 

@@ -8,7 +8,9 @@ without a clock: results depend on seeds alone. `glue.engine.pacer` has the rule
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Final
 
 from glue.errors import ConfigError
@@ -36,7 +38,7 @@ class Pace:
         delay: number of steps by which each action is carried out later, the first one excepted.
 
     Raises:
-        ConfigError: a number is out of range, or `late` is neither.
+        ConfigError: a number is out of range or of another type, or `late` is neither.
     """
 
     rate: float = 0.0
@@ -44,15 +46,15 @@ class Pace:
     delay: int = 0
 
     def __post_init__(self) -> None:
-        if self.rate != 0 and not 0.001 <= self.rate <= MAX_RATE:
+        if not (isinstance(self.rate, Real) and (self.rate == 0 or 0.001 <= self.rate <= MAX_RATE)):
             raise ConfigError(
                 f"a rate is from 0.001 to {MAX_RATE:g} steps per second, or 0 to wait for the agent, "
-                f"not {self.rate:g}",
+                f"not {self.rate!r:.80}",
                 settings=("rate",),
             )
-        if not 0 <= self.delay <= MAX_DELAY:
+        if not (isinstance(self.delay, Integral) and 0 <= self.delay <= MAX_DELAY):
             raise ConfigError(
-                f"a delay is from 0 to {MAX_DELAY} steps, not {self.delay}", settings=("delay",)
+                f"a delay is from 0 to {MAX_DELAY} steps, not {self.delay!r:.80}", settings=("delay",)
             )
         numbers = _numbers(self.late)
         if numbers and not self:
@@ -84,7 +86,7 @@ class Pace:
         return Action(ints, [number for number in numbers if isinstance(number, float)])
 
 
-def _numbers(late: str) -> list[int | float]:
+def _numbers(late: object) -> list[int | float]:
     """Return the numbers of an action; none for the last one.
 
     Raises:
@@ -92,11 +94,11 @@ def _numbers(late: str) -> list[int | float]:
     """
     if late == REPEAT:
         return []
-    try:
-        numbers = [float(text) if "." in text else int(text) for text in late.split(",")]
-    except ValueError:
-        numbers = []
-    if not numbers or any(abs(number) >= 2**31 for number in numbers if isinstance(number, int)):
+    numbers: list[int | float] = []
+    if isinstance(late, str) and "_" not in late:  # which Python allows between digits
+        with suppress(ValueError):
+            numbers = [float(text) if "." in text else int(text) for text in late.split(",")]
+    if not numbers or any(not -(2**31) <= number < 2**31 for number in numbers if isinstance(number, int)):
         raise ConfigError(
             f"late is `{REPEAT}`, or the numbers of an action, as in 0,1,0 or 0.0,-0.5; not {late!r:.80}",
             settings=("late",),

@@ -35,11 +35,7 @@ def outcomes(glue: Experiment, episodes: int, max_steps: int = 0) -> list[tuple[
 
 def returns(glue: Experiment, episodes: int, max_steps: int = 0) -> list[float]:
     """Run episodes; return the return of each."""
-    found = []
-    for _ in range(episodes):
-        glue.rl_episode(max_steps)
-        found.append(glue.rl_return())
-    return found
+    return [episode_return for episode_return, _ in outcomes(glue, episodes, max_steps)]
 
 
 def nothing(call: str) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -57,13 +58,14 @@ class Endpoint:
             raise ConfigError("the key would travel in clear text: use https", settings=("url",))
         if not (key or "").isascii() or not (key or "").isprintable():
             raise ConfigError(f"{KEY_VARIABLE} is not a key: it has letters that cannot be sent")
-        self._url = url if url.endswith(_PATH) else f"{url.rstrip('/')}{_PATH}"
+        self._url = f"{url.rstrip('/').removesuffix(_PATH)}{_PATH}"
+        self._key = key
         self._headers = {"Content-Type": "application/json"}
         if key is not None:
             self._headers["Authorization"] = f"Bearer {key}"
 
-    def post(self, body: Mapping[str, Any], seconds: float) -> Any:
-        """Return the JSON that the endpoint answers.
+    def post(self, body: Mapping[str, Any], seconds: float) -> Reply:
+        """Return what the endpoint answers.
 
         Args:
             body: of the request.
@@ -76,17 +78,23 @@ class Endpoint:
             answer = ask("POST", self._url, seconds, json.dumps(body).encode(), self._headers)
         except NoAnswer as error:
             raise EndpointBusy(self._failed(str(error))) from None
-        status, words = answer.status, answer.data.decode("utf-8", "replace")
+        status, content, lack = answer.status, answer.json, ""
+        if status == 200:
+            if (reply := read_reply(content)) is not None:
+                return reply
+            lack = ", not with JSON" if content is None else ", with no text at choices[0].message.content"
+        words = json.dumps(content, ensure_ascii=False)
+        if content is None:
+            words = answer.data.decode("utf-8", "replace")
         if 300 <= status < 400:
             words = f"a redirection to {answer.headers.get('Location')}, which is not followed"
-        if status == 429 or status >= 500:
-            raise EndpointBusy(self._failed(f"answered {status}: {words}"))
-        if status == 200 and answer.json is not None:
-            return answer.json
-        raise EndpointFailed(self._failed(f"answered {status}, not with JSON: {words}"))
+        failure = EndpointBusy if status == 429 or status >= 500 else EndpointFailed
+        raise failure(self._failed(f"answered {status}{lack}: {words}"))
 
     def _failed(self, why: str) -> str:
-        return f"the endpoint {self._url} {one_line(why, _MOST_SHOWN)}"
+        """Return the message of a failure, which is recorded, without the key: some endpoints repeat it."""
+        hidden = why.replace(self._key, "(the key)") if self._key else why
+        return f"the endpoint {self._url} {one_line(hidden, _MOST_SHOWN)}"
 
 
 _WAITS: Final = (1.0, 4.0)
@@ -147,8 +155,9 @@ class ChatAgent(LanguageAgent):
 
     def choose(self) -> None:
         turn = self.game.turn
-        shown = self.game.answer(turn - 1) or self.game.view()
-        question = {"role": "user", "content": shown.text}
+        answer, view = self.game.answer(turn - 1), self.game.view()
+        illegal = f"{answer.text}\n" if answer is not None and answer.error else ""
+        question = {"role": "user", "content": illegal + view.text}
         reply = self._ask([{"role": "system", "content": self.prompt}, *self._history, question])
         if reply is None:
             return
@@ -168,13 +177,13 @@ class ChatAgent(LanguageAgent):
         waits = iter(_WAITS)
         while (left := self.game.time_left) > 0:
             try:
-                return read_reply(self._endpoint.post(body, min(self.options.timeout, left)))
+                return self._endpoint.post(body, min(self.options.timeout, left))
             except EndpointBusy as error:
                 if (wait := next(waits, None)) is None:
                     raise
                 LOG.warning("%s; asking again in %g s", error, wait)
-                self.game.counts.repeated += 1
                 sleep(min(wait, self.game.time_left))
+                self.game.counts.repeated += self.game.time_left > 0
         return None
 
 
@@ -186,22 +195,22 @@ class Reply(NamedTuple):
     tokens_out: int
 
 
-def read_reply(answer: Any) -> Reply:
+def read_reply(answer: Any) -> Reply | None:
     """Return the first message of an endpoint's answer; its text may be empty.
 
-    Raises:
-        EndpointFailed: it is no answer of the common form.
+    None if it is no answer of the common form. What is no number of tokens counts as 0.
     """
     try:
         text = answer["choices"][0]["message"]["content"] or ""
-        usage = answer.get("usage") or {}
-        read, written = (usage.get(name) or 0 for name in ("prompt_tokens", "completion_tokens"))
-        if isinstance(text, str) and all(type(n) is int and 0 <= n < _MOST_TOKENS for n in (read, written)):
-            return Reply(text[:_MOST_LETTERS], read, written)
-    except (KeyError, IndexError, TypeError, AttributeError):
-        pass
-    shown = one_line(repr(answer), 200)
-    raise EndpointFailed(f"the endpoint's answer has no text at choices[0].message.content: {shown}")
+    except (KeyError, IndexError, TypeError):
+        return None
+    if not isinstance(text, str):
+        return None
+    usage = answer.get("usage")
+    usage = usage if isinstance(usage, dict) else {}
+    counts = [usage.get(name) for name in ("prompt_tokens", "completion_tokens")]
+    read, written = (n if type(n) is int and 0 <= n < _MOST_TOKENS else 0 for n in counts)
+    return Reply(text[:_MOST_LETTERS], read, written)
 
 
 def read_choice(text: str) -> tuple[list[str] | None, str]:
@@ -210,11 +219,11 @@ def read_choice(text: str) -> tuple[list[str] | None, str]:
     The actions are None if there is no such line.
     """
     for line in reversed(text.splitlines()):
-        plain = line.strip(_DRESS).rstrip(".")
+        plain = line.lstrip(f"-{_DRESS}").rstrip(_DRESS).rstrip(".")
         if plain.lower() == "give up":
             return [], Until.END
         if plain.lower().startswith("act:"):
-            actions, _, until = plain[4:].partition(" until ")
-            names = [name.strip(_DRESS) for name in actions.split(",")]
-            return names, until.strip().lower() or Until.END
+            actions, *until = re.split(r"[\s,]until\s", plain[4:], maxsplit=1, flags=re.IGNORECASE)
+            names = [name.strip(_DRESS) for name in actions.rstrip(f",{_DRESS}").split(",")]
+            return names, until[0].strip(_DRESS).lower() if until else Until.END
     return None, Until.END

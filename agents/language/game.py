@@ -132,7 +132,7 @@ class _Episode:
 
 
 class Game:
-    """The games of one session.
+    """The games of a session, or of several in turn: turns are counted over all of them.
 
     Args:
         options: of the agent.
@@ -168,22 +168,32 @@ class Game:
         self._go(Phase.OVER)
         self._episode = _Episode(self._episode.number + 1, observation)
         self.turn += 1
-        self._go(Phase.CHOOSING)
+        self._next()
 
     def step(self, reward: float, observation: Observation) -> None:
         """Take the result of the last action."""
         self._episode.seen = observation
         self._count(reward)
-        if self.phase is Phase.PLAYING and (self._stops(reward) or not self._goes_on()):
-            self._go(Phase.CHOOSING)
+        if not self._episode.forfeit and (self._is_last or self._stops(reward) or not self._goes_on()):
+            self._next()
 
     def end(self, reward: float) -> None:
         """Take the last reward of an episode."""
         self._count(reward)
         self._go(Phase.OVER)
 
+    def rest(self) -> None:
+        """End a task; another one may follow, in this session or in the next."""
+        self._go(Phase.WAITING)
+
+    def renew(self, options: GameOptions) -> None:
+        """Wait for another session, with other options; the last one may have ended at any point."""
+        self.rest()
+        self._options = options
+        self._episode = _Episode()
+
     def close(self) -> None:
-        """End the session: nothing will be asked any more."""
+        """End the last session: nothing will be asked any more."""
         self._go(Phase.CLOSED)
 
     def next_action(self) -> Action | None:
@@ -336,8 +346,19 @@ class Game:
 
     def _forfeit(self, why: str) -> None:
         self.counts.forfeits += 1
+        if self.phase is Phase.CHOOSING:
+            self.counts.seconds += self._clock() - self._asked
         self._episode.forfeit = why
         self.phase = Phase.OVER
+
+    @property
+    def _is_last(self) -> bool:
+        """Whether the experiment ends the episode now, if its limit is the one that was told."""
+        return self._episode.steps == self._options.steps - 1
+
+    def _next(self) -> None:
+        """Ask for the next choice, unless the experiment does not take it any more."""
+        self._go(Phase.OVER if self._is_last else Phase.CHOOSING)
 
     def _count(self, reward: float) -> None:
         self._episode.steps += 1
@@ -374,15 +395,18 @@ class LanguageAgent(Agent):
 
     Args:
         options: of the agent.
+        former: an agent whose sessions are over, and whose game goes on; None for a game of its own.
     """
 
     agent_masks = True
 
-    def __init__(self, options: Any) -> None:
+    def __init__(self, options: Any, former: LanguageAgent | None = None) -> None:
         self.options = options
-        self.game: Final = Game(options)
-        self.changed: Final = Condition()
+        self.game: Final[Game] = Game(options) if former is None else former.game
+        self.changed: Final[Condition] = Condition() if former is None else former.changed
         """Guards the game, and is notified when it has changed."""
+        with self.changed:
+            self.game.renew(options)
 
     @property
     @abstractmethod
@@ -421,7 +445,7 @@ class LanguageAgent(Agent):
 
     def agent_cleanup(self) -> None:
         with self.changed:
-            self.game.close()
+            self.game.rest()
             self.changed.notify_all()
 
     def agent_message(self, message: str) -> str:

@@ -2,6 +2,7 @@
 
 The server runs in its own thread, so that it answers while the agent waits for the hub or for a step.
 What it remembers is the game, not a client's session: a client that comes again continues where it was.
+A process has one server at an address, for agents in turn, as each trial has its own.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import json
 import os
 import signal
 import socket
+import stat
 import threading
 from base64 import b64encode
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -30,12 +33,14 @@ if TYPE_CHECKING:
     from mcp.server.lowlevel import Server
 
 _HOST: Final = "127.0.0.1"
-_STDIO: Final = "mcp over stdio"
 _PATIENCE: Final = 3.0
 """Seconds for which a call waits for the game; then it is answered all the same."""
 
 _GRACE: Final = 2.0
 """Seconds for which the last answers may arrive, over HTTP or after a signal."""
+
+_MOST_CALLS: Final = 500
+"""Calls that wait at once, each in a thread; more than these wait for one of them."""
 
 _HOW: Final = """Call look first, and in each new episode. act takes a choice for the current turn, and waits
 until it has been played; a call that was lost is repeated as it was. give_up ends the episode with what
@@ -79,24 +84,36 @@ class MCPAgent(LanguageAgent):
     Options: ClassVar[type] = Options
 
     def __init__(self, **options: Value | None) -> None:
-        super().__init__(Options(**options))  # type: ignore[arg-type]  # checked by `glue.options.build`
-        if find_spec("mcp") is None:
-            raise ConfigError("the agent mcp needs the protocol's SDK: pip install 'glue-rl[mcp]'")
-        self.instructed: list[Any] = []
+        made = Options(**options)  # type: ignore[arg-type]  # checked by `glue.options.build`
+        port = made.port
+        former = _NEWEST.get(port)
+        super().__init__(made, former)
+        if find_spec("mcp") is None or find_spec("mcp_types") is None:
+            raise ConfigError(
+                "the agent mcp needs version 2 of the protocol's SDK: pip install 'glue-rl[mcp]'"
+            )
+        self.instructed: list[Any] = [] if former is None else former.instructed
         """Objects of the SDK whose `instructions` a client is shown; guarded by `changed`."""
-        port = self.options.port
-        if port is None and any(thread.name == _STDIO for thread in threading.enumerate()):
-            raise ConfigError("stdio serves one session: give others a port", settings=("port",))
-        serve = self._serve_stdio if port is None else partial(self._serve_http, _listen(port))
-        self._thread = threading.Thread(target=serve, name=_STDIO if port is None else None, daemon=True)
-        self._thread.start()
-        atexit.register(self._leave)
+        if former is None:
+            if port is None and not _has_client():
+                raise ConfigError(
+                    "standard input is no client's: give mcp a port, or let the client start glue-agent mcp",
+                    settings=("port",),
+                )
+            serve = self._serve_stdio if port is None else partial(self._serve_http, _listen(port))
+            self._thread = threading.Thread(target=serve, daemon=True)
+            self._thread.start()
+            atexit.register(self._leave)
+        _NEWEST[port] = self
 
     @property
     def how(self) -> str:
         return _HOW
 
     def agent_init(self, task_spec: str) -> None:
+        if _NEWEST[self.options.port] is not self:
+            where = "stdio" if self.options.port is None else f"port {self.options.port}"
+            raise ConfigError(f"{where} serves one session: give others a port", settings=("port",))
         super().agent_init(task_spec)
         with self.changed:
             for instructed in self.instructed:
@@ -130,9 +147,16 @@ class MCPAgent(LanguageAgent):
 
     def _leave(self) -> None:
         """Answer a client's last calls, too; after a whole session it may take its time to call again."""
-        whole = self.game.phase is Phase.CLOSED and self.options.port is None
-        self.agent_cleanup()
-        self._thread.join(None if whole else _GRACE)
+        with self.changed:
+            played = self.game.phase is Phase.WAITING and self.game.turn > 0
+            self.game.close()
+            self.changed.notify_all()
+        with suppress(KeyboardInterrupt):  # An experiment that Ctrl-C has ended need not wait.
+            self._thread.join(None if played and self.options.port is None else _GRACE)
+
+
+_NEWEST: Final[dict[int | None, MCPAgent]] = {}
+"""The newest agent of each address: of a port, or None for stdio. Its game is that of all before it there."""
 
 
 def play(agent: LanguageAgent, tool: str, arguments: Mapping[str, Any]) -> Answer:
@@ -166,10 +190,12 @@ def play(agent: LanguageAgent, tool: str, arguments: Mapping[str, Any]) -> Answe
 def make_server(agent: MCPAgent) -> Server[Any]:
     """Return the server by which a client plays as `agent`."""
     import mcp_types as types
+    from anyio import CapacityLimiter
     from anyio.to_thread import run_sync
     from mcp.server.lowlevel import Server
     from mcp.shared.exceptions import MCPError
 
+    limiter = CapacityLimiter(_MOST_CALLS)
     tools = []
     for name, (text, properties) in _TOOLS.items():
         required = [each for each in properties if each in ("turn", "actions")]
@@ -184,7 +210,8 @@ def make_server(agent: MCPAgent) -> Server[Any]:
         if params.name not in _TOOLS:
             raise MCPError(types.INVALID_PARAMS, f"there is no tool {params.name!r:.80}")
         try:
-            answer = await run_sync(play, agent, params.name, params.arguments or {}, abandon_on_cancel=True)
+            call = partial(play, agent, params.name, params.arguments or {})
+            answer = await run_sync(call, abandon_on_cancel=True, limiter=limiter)
         except GameOver as error:
             raise MCPError(types.INVALID_REQUEST, str(error)) from None
         except GlueError as error:
@@ -201,6 +228,13 @@ def make_server(agent: MCPAgent) -> Server[Any]:
         server = Server("glue-rl", **names, on_list_tools=list_tools, on_call_tool=call_tool)
         agent.instructed.append(server)
     return server
+
+
+def _has_client() -> bool:
+    """Return whether standard input can be a client's: it is there, and no terminal or null device."""
+    with suppress(OSError):
+        return not stat.S_ISCHR(os.fstat(0).st_mode)
+    return False
 
 
 def _listen(port: int) -> socket.socket:

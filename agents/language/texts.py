@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from itertools import product
 from typing import Final
 
@@ -59,9 +60,11 @@ class Texts:
             )
         self._spec = spec
         words = find_words(spec)
-        known = all(spec.actions.check(action) is None for action in words.actions.values())
-        self._words = words if known else Words("", {})  # of another environment, whose name this one has
-        self._picture = find_picture(spec)
+        fits = all(spec.actions.check(action) is None for action in words.actions.values())
+        fits = fits and words.observations in (None, spec.observations)
+        # Otherwise they are of another environment, whose name this one has.
+        self._words = words if fits else Words("", {})
+        self._picture = find_picture(spec) if fits else None
         self._most = most
         self.names: Final[Mapping[str, Action]] = self._words.actions or _enumerated(spec.actions)
         self._sizes = mask_sizes(spec.actions) if spec.masks else ()
@@ -120,12 +123,12 @@ class Texts:
 
     def seen(self, observation: Observation) -> str:
         """Return an observation as text: the environment's picture in characters, or numbers."""
+        ints, doubles = observation.ints[:_MOST_SEEN].tolist(), observation.doubles[:_MOST_SEEN].tolist()
+        numbers = " ".join([*map(str, ints), *(f"{number:.6g}" for number in doubles)])
+        text = f"{numbers}\n{observation.chars[:_MOST_SEEN].decode('latin-1')}".strip("\n")
         if self._picture is not None and self._spec.observations.check(observation) is None:
-            text = "\n".join(self._picture(observation, False))
-        else:
-            ints, doubles = observation.ints[:_MOST_SEEN].tolist(), observation.doubles[:_MOST_SEEN].tolist()
-            numbers = " ".join([*map(str, ints), *(f"{number:.6g}" for number in doubles)])
-            text = f"{numbers}\n{observation.chars[:_MOST_SEEN].decode('latin-1')}".strip("\n")
+            with suppress(Exception):  # It may be the drawing of another environment of this name.
+                text = "\n".join(self._picture(observation, False))
         text = printable(text)
         return text if len(text) <= _MOST_SEEN else f"{text[:_MOST_SEEN]}..."
 

@@ -104,12 +104,14 @@ def read_folder(name: str) -> LevelFolder:
     """Return the levels in the files `*.txt` of a folder, in the order of their names.
 
     Args:
-        name: the folder; or with #DIGEST, as in `LevelFolder.name`.
+        name: the folder; or with #DIGEST, as in `LevelFolder.name`, unless a folder has that very name.
 
     Raises:
         ConfigError: it has no such files or too many, or the digest is another.
     """
-    folder, _, digest = name.partition("#")
+    folder, digest = name, ""
+    if "#" in name and not Path(name).is_dir():
+        folder, _, digest = name.rpartition("#")
     paths = sorted(Path(folder).glob("*.txt"))
     if not 1 <= len(paths) <= _MOST_FILES:
         raise ConfigError(f"{folder} has {len(paths)} levels *.txt: expected 1 to {_MOST_FILES}")

@@ -84,6 +84,7 @@ _LACKING: Final = {
 }
 """Things that the engine of 2009 lacks, by their character in either notation."""
 _PIPE: Final = "tT"
+_PIPES: Final = re.compile(f"[{_PIPE}]+")
 _MARKS: Final = "MF"  # the start and the goal
 _ADDITION: Final = re.compile(r"(\d{1,4}) +(\d{1,2}) +(\S)")
 _TYPE: Final = re.compile(r"type +([012])")
@@ -225,6 +226,12 @@ class _Reader:
         self._tiles = np.zeros((self._columns, state.ROWS), np.uint8)
         self._spawns = np.zeros((self._columns, state.ROWS), np.uint8)
         self._goal: tuple[int, int] | None = None
+        # The columns of parts side by side that lack no half, and begin in an even or odd column.
+        self._whole_pipes = np.zeros((2, self._columns), np.bool_)
+        for row in self._rows[-state.ROWS :]:
+            for parts in _PIPES.finditer(row):
+                begin, end = parts.span()
+                self._whole_pipes[begin % 2, begin:end] |= (end - begin) % 2 == 0
         added = [match[3] for line in self._lines if (match := _ADDITION.fullmatch(line))]
         used = "".join([*self._rows, *added])
         is_corpus = len(self._rows) <= _CORPUS_ROWS and {*_CORPUS, *"EBb"}.issuperset(used)
@@ -242,6 +249,7 @@ class _Reader:
                 elif character != "-":
                     raise self._wrong(line, column, f"expected - in a row above the lowest {state.ROWS}")
         level_type = self._additions()
+        self._check_pipes()
         crowds = np.convolve(self._spawns.astype(bool).sum(1), np.ones(_CROWD, np.int64))
         if crowds.max() > _MOST_MONSTERS:
             last = min(int(crowds.argmax()), self._columns - 1)
@@ -255,7 +263,8 @@ class _Reader:
     def _check_size(self) -> None:
         if not _LEAST_COLUMNS <= self._columns <= state.COLUMNS:
             expected = f"expected a picture of {_LEAST_COLUMNS} to {state.COLUMNS} columns"
-            raise self._wrong(0, self._columns, f"{expected}, not {self._columns}")
+            blank = "" if self._rows else ": this line is blank, and an empty cell is -"
+            raise self._wrong(0, self._columns, f"{expected}, not {self._columns}{blank}")
         for line, row in enumerate(self._rows):
             if len(row) != self._columns:
                 column = min(len(row), self._columns)
@@ -283,21 +292,41 @@ class _Reader:
         elif character in _MONSTERS:
             self._spawns[cell] = _MONSTERS[character]
         elif character in _PIPE:
-            self._tiles[cell] = code = self._pipe(line, column)
+            self._tiles[cell] = code = self._part(line, column, cell)
             if character == "T" and code == tile.PIPE_MOUTH:
                 self._spawns[cell] = state.PLANT
         else:
             self._tiles[cell] = self._known_tiles[character]
 
-    def _pipe(self, line: int, column: int) -> int:
+    def _part(self, line: int, column: int, cell: tuple[int, int]) -> int:
         """Return the tile of a part of a pipe; parts that stand side by side are pipes of two columns."""
-        row = self._rows[line]
-        begin = column - len(row[:column]) + len(row[:column].rstrip(_PIPE))
-        end = len(row) - len(row[column:].lstrip(_PIPE))
-        if (end - begin) % 2 and row[end : end + 1] != ">":
-            raise self._wrong(line, end - 1, "expected pipes of two columns, and this is half of one")
+        if column > 0 and self._rows[line][column - 1] in _PIPE:
+            is_right = self._tiles[cell[0] - 1, cell[1]] % 2 == 0
+        else:
+            is_right = self._begins_right(line, column)
         is_shaft = line > 0 and self._rows[line - 1][column] in _PIPE
-        return (tile.PIPE_SHAFT if is_shaft else tile.PIPE_MOUTH) + (column - begin) % 2
+        return (tile.PIPE_SHAFT if is_shaft else tile.PIPE_MOUTH) + int(is_right)
+
+    def _begins_right(self, line: int, begin: int) -> bool:
+        """Return whether parts side by side begin with the right half of a pipe.
+
+        An odd number of them lack a half at one end, where a monster or the goal may stand: at which, the
+        pipes in the same columns tell.
+        """
+        row = self._rows[line]
+        end = len(row) - len(row[begin:].lstrip(_PIPE))
+        if (end - begin) % 2 == 0 or row[end : end + 1] == ">":
+            return False
+        even, odd = (bool(columns[begin:end].any()) for columns in self._whole_pipes)
+        return even and not odd if begin % 2 else odd and not even
+
+    def _check_pipes(self) -> None:
+        """Check that each half of a pipe stands in two columns that have a whole part of one."""
+        left, right = (np.isin(self._tiles, (tile.PIPE_MOUTH + i, tile.PIPE_SHAFT + i)) for i in (0, 1))
+        whole = np.pad((left[:-1] & right[1:]).any(1, keepdims=True), ((1, 1), (0, 0)))
+        for row, column in np.argwhere((left & ~whole[1:] | right & ~whole[:-1]).T)[:1].tolist():
+            line = max(row + len(self._rows) - state.ROWS, 0)
+            raise self._wrong(line, column, "expected pipes of two columns, and this is half of one")
 
     def _additions(self) -> int:
         """Read what follows the picture; return the level's type."""

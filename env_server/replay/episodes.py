@@ -33,8 +33,8 @@ from env_server.mario.game import Level, Spawn, level_difference
 from env_server.render.scene import element_name, is_scene
 from glue.errors import ConfigError, GlueError
 from glue.files import open_regular
-from glue.options import Value, build
-from glue.plugins.loading import make, names
+from glue.options import Value, build, parameters
+from glue.plugins.loading import find, make, names
 from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment, offers
 from glue.trajectory import MAX_EPISODE, MAX_STEPS, Episode, Run, TrajectoryError, TrajectoryReader
 from glue.trajectory.comparison import Outcomes, compare, unequal
@@ -396,14 +396,21 @@ def build_environment(run: RecordedRun) -> Environment:
     """Return the environment a run was recorded with.
 
     A recording is untrusted, so it can only name installed environments, never a module, a file or another
-    library's environment.
+    library's environment. A file that an environment reads must be the one with the recorded digest.
 
     Raises:
         NotInstalled: it names another, or none.
-        ConfigError: the options do not fit.
+        ConfigError: the options do not fit, or lack the digest of a file.
     """
     if run.environment not in names(Role.ENVIRONMENT):
         raise NotInstalled(run.environment)
+    known = parameters(find(Role.ENVIRONMENT, run.environment))
+    for name in run.options:
+        if (digest := f"{name}_digest") in known and digest not in run.options:
+            raise ConfigError(
+                f"the recording names a file as {name}, but not its SHA-256 as {digest}: name both "
+                "environment and file yourself"
+            )
     return make(run.environment, **run.options)
 
 

@@ -173,6 +173,7 @@ def verify(directory: Path, sign: Path | None, environments: tuple[str, ...]) ->
         changed = seal.broken(store)
         if changed:
             say(f"{changed} were changed since they were written")
+        course.check_trials(record.spec for record in store.trials())
         over = set(store.outcomes())
         problems = verify_run(store, steps, say, environments)
         left = set(course.trials) - over

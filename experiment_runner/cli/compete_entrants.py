@@ -13,6 +13,7 @@ from typing import Final
 import click
 
 from experiment_runner.competition.season.starter import LANGUAGES, write_starter
+from glue.cli.season import show
 from glue.cli.shared import DIRECTORY, FILE
 from glue.console import say
 from glue.errors import ConfigError
@@ -89,7 +90,7 @@ def submit(image: str, season: Path) -> None:
         say(f"sending {path.stat().st_size / 2**20:.1f} MiB")
         found.submit(file)
     say("the season has the image, which plays your attempts from now on")
-    click.echo(found.play(None, say))
+    show(found.play(None, say))
 
 
 def _saved(image: str, path: Path) -> Path:

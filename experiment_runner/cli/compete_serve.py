@@ -5,22 +5,28 @@ from __future__ import annotations
 import os
 import secrets
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from experiment_runner.cli.options import check_address, naming_out
-from experiment_runner.cli.season_page import page_options
+from experiment_runner.cli.season_page import page_options, place_of_page
 from experiment_runner.plan.limits import Backend
 from glue.cli.shared import DIRECTORY, FILE
 from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError, GlueError
 from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
+from glue.system import clock
+
+if TYPE_CHECKING:
+    from experiment_runner.view.server import Place
 
 KEPT: Final = "nothing is lost: start the same command again"
+
+_TRIES: Final = 4
 
 RUN = click.argument("directory", type=DIRECTORY, metavar="DIR")
 
@@ -77,6 +83,7 @@ def serve(
     It ends when `close` closes the season. If anything else stops it, the same command continues it.
     """
     from experiment_runner.competition.organiser import open_competition
+    from experiment_runner.competition.records.journal import utc_now
     from experiment_runner.competition.season.images import remove_others
     from experiment_runner.competition.season.server import Server, check_gate
     from experiment_runner.competition.settings import Gate, load_competition
@@ -86,8 +93,11 @@ def serve(
     from experiment_runner.view.launch import check_view, season_viewed
 
     check_address(Backend(engine), address)
-    if of_page["page"] is not None:
+    has_page = of_page["page"] is not None
+    if has_page:
         check_view("page")
+        # The page is a process of its own, and started again whenever it ends: here a mistake is told once.
+        _check_free(place_of_page(of_page["page"], of_page["proxy"], of_page["insecure"]))
     competition = load_competition(file)
     if competition.season is None:
         raise ConfigError(f"{file} has no table [season]: glue-compete run holds its competition")
@@ -101,14 +111,37 @@ def serve(
             text = read_text(file, follow=True)
             store = stack.enter_context(open_competition(out, text, competition, secret))
         executor = executor_of(competition, Backend(engine), address)
-        if of_page["page"] is not None:
-            stack.enter_context(season_viewed(out, of_page, say))
-        say(f"the season is served from {out}")
-        stack.enter_context(Server(store, competition, secret, code, gate, say)).serve(executor)
+        page = season_viewed(out, of_page, say) if has_page else nullcontext()
+        with page, Server(store, competition, secret, code, gate, say) as server:
+            say(f"the season is served from {out}")
+            server.serve(executor)
+        if has_page and of_page["publish"] is not None:
+            from experiment_runner.view.season.publish import Publisher
+            from experiment_runner.view.season.views import Views
+
+            Publisher(Views(out, utc_now), of_page["publish"]).publish()  # as it is for ever
         if competition.season.images:
             with suppress(GlueError, ImportError):  # without an engine there are none
                 remove_others(out)
         say(f"the season is closed; now: glue-compete run {file} --out {out}")
+
+
+def _check_free(place: Place) -> None:
+    """Check that a page can listen at a place; that of a server which was killed may hold it for a moment.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    from experiment_runner.view.server import listen
+
+    for left in reversed(range(_TRIES)):
+        try:
+            listen(place).close()
+            break
+        except ConfigError:
+            if not left:
+                raise
+            clock.sleep(1.0)
 
 
 @click.command()

@@ -98,6 +98,8 @@ def plot(
       glue-plot runs/mine runs/other --kind comparison -o comparison.svg
       glue-plot runs/sweep --select sarsa --size 6.4x3 --columns 3 -o sarsa.pdf
     """
+    import numpy as np
+
     from experiment_runner.analysis.settings import REWARD, collect
     from experiment_runner.analysis.stats import FloatArray
     from experiment_runner.report import plots
@@ -106,6 +108,7 @@ def plot(
     from experiment_runner.store.records import MEASURES
     from experiment_runner.store.results import opened
     from experiment_runner.store.run_data import extra_columns
+    from glue.errors import ExperimentError
 
     warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's: returns may be infinite or NaN
     if out is None and (kind != "curves" or over == "steps"):
@@ -132,6 +135,8 @@ def plot(
             raise click.UsageError(f"there is no metric {metric}{near}")
         found = selected(collect(runs, measure, metric), select)
     settings = [setting for setting in found if setting.curves().size]
+    if settings and not metric and all(np.isnan(setting.curves()).all() for setting in settings):
+        raise ExperimentError(f"there is nothing to draw: no episode has a value of {measure}")
     labels = {REWARD: "reward per step", **{name: known.label for name, known in MEASURES.items()}}
     label = metric or labels.get(measure, measure)
     layout = plots.Layout(title, size, columns or 0, label, tolerance)

@@ -22,7 +22,7 @@ from experiment_runner.executors.job import HubOptions, RunConfig
 from experiment_runner.executors.opening import FINISH, kept_if_begun, open_run, recorded_plan, remaining
 from experiment_runner.executors.recording import recorded
 from experiment_runner.executors.run import run_trials
-from experiment_runner.plan.limits import PLAYERS
+from experiment_runner.plan.limits import PLAYERS, REMOTE
 from experiment_runner.plan.metrics import extra_of
 from experiment_runner.plan.plan import Plan
 from experiment_runner.plan.user_files import named_code
@@ -172,14 +172,15 @@ def note_players_without_seed(store: Store, plan: Plan, say: Callable[[str], Non
 def _finish(store: Store, plan: Plan, say: Callable[[str], None]) -> None:
     """Record that all trials are finished, and say of which extras none has had a value.
 
-    A trial itself says nothing of a name with a dot, which may be of an environment with another label.
+    A trial itself says nothing of a name with a dot, which may be of an environment with another label, where
+    there are labels.
     """
     store.record_event(FINISH, "all trials are finished")
     labels = sorted({trial.spec.environment_label for trial in store.trials()})
     found = {*store.metric_names()}
     for key in plan.extras:
         names = {label: extra_of(key, label) for label in labels}
-        unsaid = all("." in name for name in names.values())
+        unsaid = all("." in name and label != REMOTE for label, name in names.items())
         if unsaid and found.isdisjoint(f"{label}.{name}" for label, name in names.items()):
             why = f"no such extra came from {', '.join(labels)}"
             line = f"metric {key} never had a value: {why}"

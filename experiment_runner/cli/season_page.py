@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import os
 import re
@@ -10,8 +11,9 @@ import threading
 import warnings
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any, Final, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TextIO, TypeVar
 
 import click
 
@@ -20,6 +22,9 @@ from experiment_runner.view.launch import check_view
 from glue.cli.shared import DIRECTORY
 from glue.console import say
 from glue.errors import ConfigError
+
+if TYPE_CHECKING:
+    from experiment_runner.view.server import Place
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -58,12 +63,25 @@ def _log(context: click.Context, option: click.Parameter, form: str) -> str:
     return form
 
 
+def _ip(context: click.Context, option: click.Parameter, text: str | None) -> str | None:
+    try:
+        return text and str(ipaddress.ip_address(text))
+    except ValueError:
+        raise click.BadParameter(f"{text} is not an IP address such as 172.30.97.1") from None
+
+
 _OPTIONS: Final = (
     click.option(
         "--proxy",
         default="",
         metavar="URL",
         help="Address at which browsers find the page behind a proxy on this machine: https://lab.example/season",
+    ),
+    click.option(
+        "--proxy-address",
+        metavar="IP",
+        callback=_ip,
+        help="Address from which that proxy comes, if not from this machine, as for a page in a container.",
     ),
     click.option(
         "--insecure",
@@ -89,10 +107,26 @@ _OPTIONS: Final = (
 
 
 def page_options(command: _Command) -> _Command:
-    """Give a command the options `proxy`, `insecure`, `publish` and `log_format`."""
+    """Give a command the options `proxy`, `proxy_address`, `insecure`, `publish` and `log_format`."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
+
+
+def place_of_page(address: str, proxy: str, insecure: bool) -> Place:
+    """Return where a season's page is served.
+
+    Args:
+        address: such as 127.0.0.1:8097.
+        proxy, insecure: as for `place_of`.
+
+    Raises:
+        ConfigError: the address is malformed; or as by `place_of`.
+    """
+    match = _ADDRESS.fullmatch(address)
+    if match is None or int(match[3]) > 65535:
+        raise ConfigError(f"--page is HOST:PORT, as in 127.0.0.1:8097, not {address}", settings=("page",))
+    return place_of(match[1] or match[2], int(match[3]), proxy, insecure)
 
 
 @click.command("page")
@@ -107,7 +141,13 @@ def page_options(command: _Command) -> _Command:
 )
 @page_options
 def page(
-    directory: Path, address: str, proxy: str, insecure: bool, publish: Path | None, log_format: str
+    directory: Path,
+    address: str,
+    proxy: str,
+    proxy_address: str | None,
+    insecure: bool,
+    publish: Path | None,
+    log_format: str,
 ) -> None:
     """Show the season in DIR on a page that is open to all; `serve` does so, too.
 
@@ -123,10 +163,7 @@ def page(
     from experiment_runner.view.season.views import Views, organisers_token
     from experiment_runner.view.server import serve
 
-    match = _ADDRESS.fullmatch(address)
-    if match is None or int(match[3]) > 65535:
-        raise ConfigError(f"--page is HOST:PORT, as in 127.0.0.1:8097, not {address}", settings=("page",))
-    place = place_of(match[1] or match[2], int(match[3]), proxy, insecure)
+    place = place_of_page(address, proxy, insecure)
     os.nice(_NICENESS)  # what is played has priority
     views = Views(directory, utc_now)
     views.board(PUBLIC)  # says why, if the directory holds no season
@@ -137,4 +174,5 @@ def page(
     def ready(url: str) -> None:
         say(f"the page is at {url}; the organiser's, which shows all: {url}?token={token}")
 
-    serve(lambda address, _: season_page(views, address, routes), place, ready, Passing)
+    entrance = partial(routes, proxy=proxy_address)
+    serve(lambda address, _: season_page(views, address, entrance), place, ready, Passing)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 from experiment_runner.competition.records import journal
+from experiment_runner.competition.records.copies import without_place
 from experiment_runner.competition.records.journal import EVERYBODY, Act, act, acts_of
 from experiment_runner.competition.settings import Competition, Entrant, changes, load_competition
 from experiment_runner.competition.state import IMAGE_ID, Enrolled, State
-from experiment_runner.competition.trials import attempt_trials, levels, trials
+from experiment_runner.competition.trials import Level, attempt_trials, levels, trials
 from experiment_runner.plan.limits import TrialId
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.layout import COMPETITION_FILE
@@ -129,6 +130,31 @@ class Course:
         known = {one.name: one for one in competition.entrants}
         found = (entrant_of(one, known.get(name)) for name, one in entrants.items())
         return replace(competition, entrants=tuple(found))
+
+    def check_trials(self, specs: Iterable[TrialSpec]) -> None:
+        """Check that the trials of a run, which may come from anyone, are of the tasks of its file.
+
+        The levels and seeds drawn from the secret seed are not known here.
+
+        Raises:
+            ExperimentError: one has no task, or another environment or length than its task.
+        """
+        tasks = {task.name: task for task in self.competition.tasks}
+        for spec in specs:
+            entrant, name, number = spec.id.parts
+            if (task := tasks.get(name)) is None:
+                raise ExperimentError(f"{spec.id!s:.80} is of a task that {COMPETITION_FILE} does not have")
+            played = spec.environment
+            if (
+                played is None
+                or without_place(played.name) != without_place(task.env)
+                or not task.options.items() <= played.options.items()
+                or replace(Level(task, number, played, spec.seed).trial(entrant, "", ""), agent=spec.agent)
+                != spec
+            ):
+                raise ExperimentError(
+                    f"{spec.id!s:.80} has another environment or length than its task in {COMPETITION_FILE}"
+                )
 
     def planned(self, spec: TrialSpec) -> bool:
         """Return whether a trial was planned from the start, and not by an act since."""

@@ -24,7 +24,7 @@ from typing import Any, Final
 
 from experiment_runner.competition.course import Course, course_of
 from experiment_runner.competition.launching import gate_for, launcher_for, name_of_run
-from experiment_runner.competition.match import Forfeited, Match, Piece
+from experiment_runner.competition.match import NOT_CONNECTED, Forfeited, Match, Piece
 from experiment_runner.competition.records.copies import copies
 from experiment_runner.competition.records.journal import ENTER, EVERYBODY, Act, act, text_of
 from experiment_runner.competition.records.record import RecordFile, record_path
@@ -322,6 +322,7 @@ class Held(Matches):
         self._secret = secret
         self._gate = gate
         self._paused: Mapping[str, str] = {}
+        self._absent: set[str] = set()  # entrants that did not connect the last time
         self.over: set[TrialId] = set()
         if self.course.in_season:
             raise ExperimentError(
@@ -391,12 +392,26 @@ class Held(Matches):
             self._say(f"{trial_id} has failed, and is played again when the run is continued: {failure}")
             return
         self.over.add(TrialId(trial_id))
+        self._await(self.matches[trial_id].entrant, reason or "")
         if reason is None:
             totals = self._store.totals(trial_id)
             how = f"{totals.sum_of_returns:.10g} in {totals.episodes} episodes"
         else:
             how = f"forfeited: {reason}"
         self._say(f"[{len(self.over)}/{len(self.course.trials)}] {trial_id}: {how}")
+
+    def _await(self, entrant: Entrant, reason: str) -> None:
+        """Let an entrant with a key that did not connect play last, and wait for it once more: meanwhile no
+        other that has a key can play.
+        """
+        if entrant.key is None or not reason.startswith(NOT_CONNECTED):
+            self._absent.discard(entrant.name)
+            return
+        left = {one for one, match in self.matches.items() if match.entrant.name == entrant.name}
+        if entrant.name in self._absent:
+            self.matches |= {one: replace(self.matches[one], absent=reason) for one in left}
+        self._absent.add(entrant.name)
+        self.dispatcher.postpone(left)
 
 
 def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> str:

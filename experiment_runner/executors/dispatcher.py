@@ -120,6 +120,10 @@ class Dispatcher:
         """Let a trial wait for its start."""
         self._waiting.append(trial_id)
 
+    def postpone(self, trial_ids: Collection[str]) -> None:
+        """Let those of these trials that wait start after all others that wait now."""
+        self._waiting = deque(sorted(self._waiting, key=trial_ids.__contains__))
+
     def cancel(self, trial_id: str) -> None:
         """Forget a trial that waits or runs."""
         self._losses.pop(trial_id, None)

@@ -100,7 +100,8 @@ def open_run(
                 f"glue-results gather {directory}"
             )
         if changed := changed_files(_recorded_files(directory), sources):
-            found = [f"{file} has changed since" for file in changed]
+            here = "is not what its option names from this folder"
+            found = [f"{file} {'has changed since' if file in sources else here}" for file in changed]
             begun = f"was begun with files of which {layout.SOURCES} has copies"
             raise DirectoryTaken(directory, f"{begun} ({'; '.join(found)})")
         run.check(store)

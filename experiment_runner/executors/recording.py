@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from experiment_runner.executors.job import BEGINNING, Start
+from experiment_runner.plan.limits import REMOTE
 from experiment_runner.plan.metrics import ALL, SUMMARIES, Keep, MetricsPlan, Summary, extra_of
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.readings import Part, pack_parts, unpack_parts
@@ -35,6 +36,14 @@ class Extras:
     def __init__(self, plan: Mapping[str, Summary], label: str) -> None:
         self._label = label
         self._summaries = {extra_of(key, label): how for key, how in plan.items()}
+        # By each name of the plan: those it may be sent under, the best first, and then recorded under.
+        self._forms = {name: {name: name, f"{label}.{name}": name} for name in self._summaries}
+        if label == REMOTE:  # any label may be meant by what is before a dot, unless two names differ in it
+            shorts = [name.partition(".")[2] for name in self._forms]
+            for (name, forms), short in zip(self._forms.items(), shorts, strict=True):
+                if short and short not in self._forms and shorts.count(short) == 1:
+                    forms[short] = short
+                    self._summaries[short] = self._summaries[name]
         self._values: dict[str, dict[str, float]] = {}  # each summary so far, and the count
         self._found: set[str] = set()  # those that have been numbers
 
@@ -48,15 +57,17 @@ class Extras:
         Raises:
             ExperimentError: one of the plan is a text, bytes or an array, and never was a number.
         """
-        for given, value in observation.extras.items():
-            name = extra_of(given, self._label)  # an environment may also put its own name before an extra's
-            if name not in self._summaries:
+        extras = observation.extras
+        for forms in self._forms.values():
+            sent = next((form for form in forms if form in extras), None)
+            if sent is None:
                 continue
+            name, value = forms[sent], extras[sent]
             if isinstance(value, int | float):
                 self._found.add(name)
                 self._values[name] = _with(float(value), self._values.get(name))
             elif name not in self._found:
-                numbers = [key for key, one in observation.extras.items() if isinstance(one, int | float)]
+                numbers = [key for key, one in extras.items() if isinstance(one, int | float)]
                 raise ExperimentError(
                     f"the extra {name} of {self._label} cannot be a metric: it is {value!r:.40}, not a "
                     f"number; numbers among its extras: {', '.join(numbers) or 'none'}"
@@ -73,10 +84,11 @@ class Extras:
     def missing(self) -> Iterator[str]:
         """Yield for each extra of the plan without a number in the episode why there is none.
 
-        One whose name has a dot may be that of an environment with another label.
+        One whose name has a dot may be that of an environment with another label, if this one has a label.
         """
-        for name in self._summaries:
-            if name not in self._values and "." not in name:
+        for name, forms in self._forms.items():
+            unseen = self._values.keys().isdisjoint(forms.values())
+            if unseen and ("." not in name or self._label == REMOTE):
                 yield f"the environment sent no extra {name}: some send extras only if an option says so"
 
 

@@ -181,6 +181,7 @@ class Trial:
         self._done = job.start.after
         self._steps = job.start.steps  # in the episodes done
         self._since: list[EpisodeResult] = []  # the episodes run after `start`, oldest first
+        self._timed = False  # whether its results depend on a clock
         self._can_save: bool | None = None
         self._unsaved = ""  # the reason why no checkpoint can be taken
         self._warned: set[str] = set()  # texts of events that are reported once
@@ -243,6 +244,9 @@ class Trial:
     def _replay(self) -> None:
         """Bring both players to the current state of this trial."""
         task_spec = self._glue.rl_init(self._spec.seed)
+        pace = self._spec.pace
+        # A running hub's own pace may be one without a clock, which is not known here.
+        self._timed = pace.rate > 0 if pace else self._glue.late_actions() is not None
         checkpoint = self._start.checkpoint
         if checkpoint is not None:
             self._glue.rl_env_load(checkpoint.environment)
@@ -291,7 +295,7 @@ class Trial:
         self._steps += result.steps
         last = self._spec.finished_by(result.episode, self._steps)
         # What depends on a clock is not the same when it is repeated.
-        due = every > 0 and (result.episode % every == 0 or self._spec.pace.rate > 0)
+        due = every > 0 and (result.episode % every == 0 or self._timed)
         if not self._can_save:
             if due:
                 why = f"no checkpoints: {self._unsaved}; should the run be interrupted, it starts over"

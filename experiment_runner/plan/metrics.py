@@ -20,7 +20,6 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple, get_args
 
-from experiment_runner.plan.limits import REMOTE
 from experiment_runner.plan.toml import SettingError, shown
 from glue.console import did_you_mean
 
@@ -117,11 +116,8 @@ def parse_extras(table: object) -> dict[str, Summary]:
 
 
 def extra_of(key: str, label: str) -> str:
-    """Return the name of the extra that a key means in the environment with this label.
-
-    One that joins from outside has no label of its own: then any is left out.
-    """
-    return key.partition(".")[2] or key if label == REMOTE else key.removeprefix(f"{label}.")
+    """Return the name of the extra that a key means in the environment with this label."""
+    return key.removeprefix(f"{label}.")
 
 
 def check_extras(keys: Collection[str], labels: Iterable[str]) -> None:

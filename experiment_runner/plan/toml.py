@@ -18,8 +18,17 @@ from glue.files import read_regular
 _T = TypeVar("_T")
 
 _MAX_BYTES: Final = 2**22
+_MAX_DOTS: Final = 16
+"""Maximum number in a dotted key, which costs the square of it to read."""
 _SHOWN: Final = 80
 """Maximum number of characters of a wrong value in a message."""
+
+_STRING_OR_COMMENT: Final = re.compile(
+    r""""{3}(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\\?\Z)|'{3}(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"""
+    r"""|"(?:[^"\\\n]|\\[^\n])*+"?|'[^'\n]*'?|#[^\n]*""",
+    re.DOTALL,
+)
+"""Also one without an end, so that each character is looked at once."""
 
 _WORDS: Final = {
     " | null": "",
@@ -77,7 +86,10 @@ def parse(text: str) -> dict[str, Any]:
     Raises:
         SettingError: the text is not TOML, or is nested too deeply.
     """
+    keys_and_numbers = re.split(r"[=,\[\]{}\n]", _STRING_OR_COMMENT.sub("", text))
     try:
+        if any(part.count(".") > _MAX_DOTS for part in keys_and_numbers):
+            raise RecursionError
         return _loads(text)
     except RecursionError:
         raise SettingError("this TOML is nested too deeply") from None

@@ -48,8 +48,21 @@ def user_files(players: Sequence[RoleSpec | RoleSweep]) -> dict[str, UserFile]:
 
 
 def changed_files(recorded: Mapping[str, str], present: Mapping[str, UserFile]) -> list[str]:
-    """Return the paths of the files that differ from those recorded, given by path and SHA-256."""
-    return [path for path, sha256 in recorded.items() if path in present and present[path].sha256 != sha256]
+    """Return the paths of the files that differ from those recorded, given by path and SHA-256.
+
+    A module that is not loaded may be later. Any other file that is not was named by an option, whose value
+    now stands for another file, or for none, unless the file was moved.
+    """
+    moved = {(Path(path).name, file.sha256) for path, file in present.items()}
+    return [
+        path
+        for path, sha256 in recorded.items()
+        if (
+            present[path].sha256 != sha256
+            if path in present
+            else not path.endswith(".py") and (Path(path).name, sha256) not in moved
+        )
+    ]
 
 
 def with_digests(options: Mapping[str, _Values], known: Container[str]) -> dict[str, _Values]:

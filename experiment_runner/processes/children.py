@@ -146,8 +146,8 @@ def _close_pipe(process: Child) -> None:
 class KeptAlive:
     """A child process that is restarted when it is killed, and that ends with the context.
 
-    A child that exits has reported the reason itself, and is not restarted; nor is one that is killed three
-    times at the same episode.
+    A child that exits has reported the reason itself, and is not restarted unless `rest` says so; nor is one
+    that is killed three times at the same episode.
 
     Args:
         label: names it in the lines that are shown.
@@ -156,6 +156,7 @@ class KeptAlive:
         progress: returns the number of finished episodes; called from any thread.
         give_up: called with the reason if it ends for good.
         dismissed: whether the hub tells it to exit when the context ends; otherwise it is terminated.
+        rest: seconds after which it is restarted when it exits, too; None if it is not.
 
     Raises:
         ExperimentError: it cannot be started.
@@ -171,6 +172,7 @@ class KeptAlive:
         progress: Callable[[], int],
         give_up: Callable[[str], None],
         dismissed: bool,
+        rest: float | None = None,
     ) -> None:
         self._label = label
         self._start = partial(start, module, arguments)
@@ -179,7 +181,8 @@ class KeptAlive:
         self._give_up = give_up
         self._dismissed = dismissed
         self._farewell = FAREWELL_SECONDS
-        self._leaving = False
+        self._rest = rest
+        self._leaving = threading.Event()
         self._lock = threading.Lock()  # after `_leave` no new process is started
         self._process = self._start()
         self._watcher = threading.Thread(target=self._watch, name=label, daemon=True)
@@ -193,7 +196,8 @@ class KeptAlive:
     def _leave(self, terminate: bool) -> None:
         """Stop restarting the process; terminate it if nothing else tells it to exit."""
         with self._lock:
-            first, self._leaving = not self._leaving, True
+            first = not self._leaving.is_set()
+            self._leaving.set()
         if terminate and first:  # a second signal would interrupt its cleanup
             self._process.terminate()
 
@@ -219,10 +223,12 @@ class KeptAlive:
             deaths = deaths + 1 if done == furthest else 1
             furthest = done
             how = f"the {self._label} {how_it_ended(status)}"
+            if status >= 0 and self._rest is not None:
+                self._leaving.wait(self._rest)
             with self._lock:
-                if self._leaving:
+                if self._leaving.is_set():
                     return
-                if status >= 0:
+                if status >= 0 and self._rest is None:
                     self._give_up(how)
                     return
                 if deaths == _MAX_DEATHS:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import FEW_TRIALS
 from experiment_runner.report.overview import FEW, setting_numbers
-from experiment_runner.report.tables import counted, markdown_table, unfinished
+from experiment_runner.report.tables import counted, decimal, markdown_table, unfinished
 from glue.console import one_line
 from glue.errors import ExperimentError
 
@@ -57,13 +57,13 @@ def paper_table(settings: Sequence[Setting], over: str, markup: Markup) -> str:
     return markup.table([header, *rows], _notes(settings, numbers, over))
 
 
-def _cell(numbers: dict[str, object], markup: Markup) -> str:
+def _cell(numbers: Mapping[str, Any], markup: Markup) -> str:
     mean, low, high = (numbers[name] for name in ("mean", "low", "high"))
     if mean is None:
         return ""
     few = FEW if numbers["few_trials"] else ""
-    interval = "" if low is None else f" [{markup.number(f'{low:.2f}')}, {markup.number(f'{high:.2f}')}]{few}"
-    return markup.number(f"{mean:.2f}") + interval
+    interval = "" if low is None else f" [{markup.number(decimal(low))}, {markup.number(decimal(high))}]{few}"
+    return markup.number(decimal(mean)) + interval
 
 
 def _notes(settings: Sequence[Setting], numbers: Sequence[dict[str, object]], over: str) -> list[str]:

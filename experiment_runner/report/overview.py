@@ -15,7 +15,7 @@ import numpy as np
 
 from experiment_runner.analysis import stats
 from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.report.tables import counted, format_table, wrap
+from experiment_runner.report.tables import counted, decimal, format_table, wrap
 from experiment_runner.store.layout import lock_holder
 from experiment_runner.store.records import OF_PLAYERS, TUNED, UNMETERED, UNSEEDED, TrialRecord
 from experiment_runner.store.results import Results
@@ -309,7 +309,7 @@ def _numbers(setting: Setting, over: str, rng: np.random.Generator) -> dict[str,
     return numbers
 
 
-def _cells(numbers: dict[str, object]) -> tuple[str, ...]:
+def _cells(numbers: Mapping[str, Any]) -> tuple[str, ...]:
     low, high = numbers["low"], numbers["high"]
     few = FEW if numbers["few_trials"] else ""
     return (
@@ -317,11 +317,11 @@ def _cells(numbers: dict[str, object]) -> tuple[str, ...]:
         f"{numbers['finished_trials']}/{numbers['trials']}",
         str(numbers["episodes"]),
         _number(numbers["mean"]),
-        "-" if low is None or high is None else f"{low:.2f} to {high:.2f}{few}",
+        "-" if low is None or high is None else f"{decimal(low)} to {decimal(high)}{few}",
         _number(numbers["interquartile_mean"]),
         "-" if numbers["converged"] is None else str(numbers["converged"]),
     )
 
 
-def _number(value: object) -> str:
-    return "-" if value is None else f"{value:.2f}"
+def _number(value: float | None) -> str:
+    return "-" if value is None else decimal(value)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, TextIO
 
 from experiment_runner.plan.plan import TrialSpec
-from experiment_runner.report.tables import counted, format_table, wrap
+from experiment_runner.report.tables import counted, decimal, format_table, wrap
 from experiment_runner.store.database import reported
 from experiment_runner.store.records import EpisodeResult, TrialRecord
 from experiment_runner.store.run_data import finite
@@ -199,8 +199,8 @@ class _Row:
             self.name,
             TrialRecord(spec, self._done, 0, None, steps).progress,
             f"{self._steps / elapsed:,.0f}",
-            f"{self.recent[-1]:.2f}",
-            f"{sum(self.recent) / len(self.recent):.2f}",
+            decimal(self.recent[-1]),
+            decimal(sum(self.recent) / len(self.recent)),
             _duration(left),
         )
 

@@ -15,6 +15,7 @@ from glue.console import one_line
 _LAST: Final = 100
 _COLUMNS: Final = ("trial", "episodes", "steps", "mean return", f"mean of last {_LAST}", "cut off", "void")
 _GAP: Final = "  "
+_INEXACT: Final = 1e15  # from here on a double has no second decimal place
 _LEAST_PROSE: Final = 30  # minimum width of a wrapped column, in characters
 
 
@@ -26,6 +27,11 @@ def terminal_width() -> int | None:
 def counted(number: int, thing: str) -> str:
     """Return a number and its noun, as in `1 trial` and `2 trials`."""
     return f"{number:,} {thing}" if number == 1 else f"{number:,} {thing}s"
+
+
+def decimal(value: float) -> str:
+    """Return a number with two decimal places, or with an exponent if it is too large for them."""
+    return f"{value:.2f}" if abs(value) < _INEXACT else f"{value:g}"
 
 
 def unfinished(trials: Iterable[TrialRecord], where: str = "") -> list[str]:
@@ -111,7 +117,7 @@ def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
                 names[record.spec.id],
                 record.progress,
                 f"{totals.steps:,}",
-                *("-" if mean is None else f"{mean:.2f}" for mean in means),
+                *("-" if mean is None else decimal(mean) for mean in means),
                 f"{totals.cut_off}",
                 f"{record.voids}",
             )

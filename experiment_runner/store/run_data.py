@@ -64,11 +64,11 @@ def written(path: Path) -> Iterator[Path]:
     Raises:
         ExperimentError: the file cannot be written.
     """
-    target = path.resolve()  # a symbolic link is not replaced
     with reported(f"cannot write {path}"):
-        if target.exists() and not target.is_file():
-            yield target
+        if path.exists() and not path.is_file():
+            yield path  # a pipe has no other: a link to it leads to no path
             return
+        target = path.resolve()  # a symbolic link is not replaced
         partial = target.with_name(f".{target.name}.{os.getpid()}")
         try:
             yield partial
@@ -78,13 +78,13 @@ def written(path: Path) -> Iterator[Path]:
 
 
 _TAKEN: Final = {"trial", "episode", *MEASURES, "reward", "seed", "agent", "environment"}
-_OPTIONS: Final = ("agent.", "environment.")
+_PREFIXES: Final = ("agent.", "environment.", "extra.")
 
 
 def extra_columns(results: Results) -> list[str]:
     """Return the names of the columns of a run's extras, sorted.
 
-    They are those of the extras; one that is the name of another column follows `extra.`.
+    They are those of the extras; one that is, or may be, the name of another column follows `extra.`.
     """
     metrics = results.metric_names()
     labels = {f"{record.spec.environment_label}." for record in results.trials()} if metrics else set()
@@ -106,7 +106,7 @@ def extras_of(results: Results, spec: TrialSpec) -> dict[str, npt.NDArray[np.flo
 
 def _column(metric: str, label: str) -> str:
     name = metric.removeprefix(label)
-    return f"extra.{name}" if name in _TAKEN or name.startswith(_OPTIONS) else name
+    return f"extra.{name}" if name in _TAKEN or name.startswith(_PREFIXES) else name
 
 
 _EPISODE: Final[dict[str, type[Value]]] = {

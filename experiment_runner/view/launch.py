@@ -20,6 +20,9 @@ from glue.errors import ConfigError
 COMMAND: Final = "view"
 _STANDARD_STREAMS: Final = (0, 1, 2)
 
+_REST_SECONDS: Final = 10.0
+"""Time after which the page of a season that has exited is started again."""
+
 
 def check_view(setting: str = "view") -> None:
     """Check, before anything is written, that the page can be served.
@@ -67,7 +70,7 @@ def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
 def season_viewed(
     directory: Path, options: Mapping[str, object], say: Callable[[str], None]
 ) -> Iterator[None]:
-    """Show a season on its page until the context ends; the page is started again whenever it is killed.
+    """Show a season on its page until the context ends; the page is started again however it ends.
 
     Args:
         directory: of the season.
@@ -91,5 +94,6 @@ def season_viewed(
         progress=itertools.count().__next__,  # it may be killed any number of times in weeks
         give_up=lambda why: say(f"{why}: glue-compete page {shlex.quote(str(directory))} starts it again"),
         dismissed=False,
+        rest=_REST_SECONDS,
     ):
         yield

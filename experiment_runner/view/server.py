@@ -74,7 +74,7 @@ def serve(
     """
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    with _listen(place.host, place.port) as listening:
+    with listen(place) as listening:
         port = int(listening.getsockname()[1])
         address = Address(port, place.proxy, open_to_all=not is_loopback(place.host))
         pulse = Pulse()
@@ -178,7 +178,13 @@ def _room() -> int:
     return sys.maxsize if soft == resource.RLIM_INFINITY else max(soft // 2, soft - _SPARE)
 
 
-def _listen(host: str, port: int | None) -> socket.socket:
+def listen(place: Place) -> socket.socket:
+    """Return a socket that listens at a place.
+
+    Raises:
+        ConfigError: the server cannot listen there.
+    """
+    host, port = place.host, place.port
     for number in (DEFAULT_PORT, 0) if port is None else (port,):
         try:
             family, *_, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
@@ -191,7 +197,7 @@ def _listen(host: str, port: int | None) -> socket.socket:
     # create_server adds the address to the reason
     raise ConfigError(
         f"cannot listen at {host}, port {number}: {os.strerror(failure.errno or 0)}: choose another port",
-        settings=("port",),
+        settings=("port", "page"),
     ) from failure
 
 

@@ -148,9 +148,8 @@ def _serving(role: Role, name: str, factory: type, extras: Sequence[Extra]) -> c
         added = [(extra, options.pop(str(extra.option.name))) for extra in extras]
         given = {key: value for key, value in options.items() if value is not None}
         make = partial(construct, factory, given)
-        if _openenv is not None:
-            _serve_openenv(make, name, _openenv, _insecure)
-            return
+        if _insecure and _openenv is None:
+            raise ConfigError("--insecure is for --openenv: give an address, too")
 
         def made() -> Any:
             player = make() if _batch is None else make_batch(name, make, _batch)
@@ -161,6 +160,9 @@ def _serving(role: Role, name: str, factory: type, extras: Sequence[Extra]) -> c
 
         if _season is not None:
             play_agents(_season, made, _label(name, given))
+            return
+        if _openenv is not None:
+            _serve_openenv(made, name, _openenv, _insecure)
             return
         players = {one: made() for one in _session}
         serve = serve_agent if role is Role.AGENT else serve_environment
@@ -232,15 +234,15 @@ def _serve_openenv(make: Callable[[], Any], name: str, address: str, insecure: b
     """Serve environments without a hub.
 
     Raises:
-        ConfigError: an option of the hub was given, too; see also `glue.openenv.serve`.
+        ConfigError: an option of a hub or of a single game was given, too; see also `glue.openenv.serve`.
     """
     from glue.openenv import serve
 
     context = click.get_current_context()
-    for option in ("_hub", "_session", "_key", "_hub_key", "_wait", "_batch"):
+    for option in ("_hub", "_session", "_key", "_hub_key", "_wait", "_quiet", "_batch", "_render"):
         if context.get_parameter_source(option) is ParameterSource.COMMANDLINE:
             flag = option.replace("_", "-").lstrip("-")
-            raise ConfigError(f"--openenv serves without a hub: leave out --{flag}")
+            raise ConfigError(f"--openenv serves each client a game, without a hub: leave out --{flag}")
     serve(make, name, address, insecure=insecure)
 
 

@@ -19,7 +19,7 @@ from glue.errors import ConfigError, GlueError, HubUnreachable
 from glue.hub.config import HUB_KEY_VARIABLE, HUB_VARIABLE, KEY_VARIABLE, SESSION_VARIABLE
 
 if TYPE_CHECKING:
-    from glue.client.season import Serve
+    from glue.client.season import Progress, Serve
     from glue.client.target import Target
 
 _JOIN_SECONDS: Final = 10.0
@@ -103,7 +103,14 @@ def play_programs(file: Path, command: Sequence[str]) -> None:
 def _play(file: Path, serve: Serve) -> None:
     from glue.client.season import Season, read_membership
 
-    click.echo(Season(read_membership(file)).play(serve, say))
+    show(Season(read_membership(file)).play(serve, say))
+
+
+def show(result: Progress) -> None:
+    """Print the result of an attempt, and exit with status 1 if it was forfeited."""
+    click.echo(result)
+    if result.outcome == "forfeited":
+        raise click.exceptions.Exit(1)
 
 
 def _run(command: Sequence[str], place: dict[str, str], on: Callable[[], bool]) -> None:

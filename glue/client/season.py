@@ -232,6 +232,7 @@ class Progress(msgspec.Struct, frozen=True):
         trials: in all.
         hub: URL of the hub where the trial is played; None if the season plays it, with an image.
         session: name of the session there.
+        image: whether an image of the entrant plays it, or has.
         outcome: of an attempt that is over: verified, forfeited, ours or withdrawn.
         score: None if it is not told.
         low, high: the interval on the board, of the attempts that count.
@@ -248,6 +249,7 @@ class Progress(msgspec.Struct, frozen=True):
     trials: int = 0
     hub: str | None = None
     session: str = ""
+    image: bool = False
     outcome: str = "verified"
     score: float | None = None
     low: float | None = None
@@ -269,7 +271,7 @@ class Progress(msgspec.Struct, frozen=True):
                 text = "has been played, and is being verified"
             case _:
                 text = "; ".join(["is over", *self._result()])
-        return one_line(f"attempt {self.attempt} {text}")
+        return one_line(f"attempt {self.attempt}{' of your image' if self.image else ''} {text}")
 
     def _result(self) -> Iterator[str]:
         if self.outcome != "verified":
@@ -336,6 +338,9 @@ class Season:
             if str(reply) != told:
                 told = str(reply)
                 say(told)
+            if reply.image and serve is not None:
+                say("the image that you have handed in plays your attempts, and not this program")
+                serve = None
             if reply.hub is not None and serve is not None:
                 hub = _EVERYWHERE.sub(self._page.host, reply.hub)
                 serve(Target(hub, reply.session, self._key), partial(self._is_on, reply, say))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
 from gymnasium.vector import SyncVectorEnv
@@ -24,6 +24,9 @@ from glue.roles import Agent, Environment
 from glue.system import threads
 from glue.taskspec import parse_task_spec
 from glue.types import Action, BoolArray, Observation, arrays_of
+
+_TAKEN: Final = {"action_mask", "episode"}
+"""Names in an info that are not for extras: of the mask, and of Gymnasium's RecordEpisodeStatistics."""
 
 
 def wrap(environment: Environment) -> GlueEnv:
@@ -47,18 +50,23 @@ def connect(hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, *, wait: flo
 
     Raises:
         HubUnreachable: no hub has answered in that time.
-        ConfigError: the task spec does not state the actions.
+        ConfigError: the task spec does not state the actions, or the hub has a rate or a delay.
     """
     glue = remote.connect(hub, session, name="gymnasium", wait=wait)
-    stand_in = threads.Thread(
-        target=serve_agent,
-        args=(_StandIn(), hub, session),
-        kwargs={"wait": wait},
-        name="stand-in agent",
-        daemon=True,
-    )
-    stand_in.start()
     try:
+        if glue.late_actions() is not None:
+            raise ConfigError(
+                "the hub has a rate or a delay, and a Gymnasium environment waits for its actions: "
+                "start a hub without them for it"
+            )
+        stand_in = threads.Thread(
+            target=serve_agent,
+            args=(_StandIn(), hub, session),
+            kwargs={"wait": wait},
+            name="stand-in agent",
+            daemon=True,
+        )
+        stand_in.start()
         return GlueEnv(glue)
     except BaseException:
         glue.close()  # otherwise nobody else could use the session
@@ -77,7 +85,17 @@ def connect_vec(
         options: options of Gymnasium's SyncVectorEnv, such as `autoreset_mode`.
     """
     makers = [functools.partial(connect, hub, session, wait=wait) for session in sessions]
-    return SyncVectorEnv(makers, **options)
+    return _VectorEnv(makers, **options)
+
+
+class _VectorEnv(SyncVectorEnv):  # type: ignore[misc]
+    """Gymnasium's, whose arrays of infos have the type of the first value: here none loses its fraction."""
+
+    def _add_info(self, infos: dict[str, Any], info: dict[str, Any], number: int) -> dict[str, Any]:
+        for name, value in info.items():
+            if type(value) is float and name in infos and infos[name].dtype.kind == "i":
+                infos[name] = infos[name].astype(float)
+        return super()._add_info(infos, info, number)  # type: ignore[no-any-return]
 
 
 class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
@@ -85,7 +103,8 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
 
     Its spaces are read from the task spec; see `glue.gym.spaces.read_spaces`. A reset with a seed is an
     RL_init with that seed, from which the environment's own seed is derived. An info has the extras of the
-    observation and, in a task with masks, the `action_mask`; see `glue.gym.spaces`.
+    observation and, in a task with masks, the `action_mask`; see `glue.gym.spaces`. An extra that is called
+    `action_mask` or `episode` is there as `extra.action_mask` or `extra.episode`.
 
     Args:
         glue: the experiment; it is closed with the environment.
@@ -173,7 +192,10 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
     def _info(self) -> dict[str, Any]:
         extras = self._shown.extras
         # Gymnasium's vector environments take arrays of one shape only, and any lists.
-        info: dict[str, Any] = {n: [*x] if isinstance(x, tuple) else x for n, x in extras.items()}
+        info: dict[str, Any] = {
+            f"extra.{name}" if name in _TAKEN else name: [*value] if isinstance(value, tuple) else value
+            for name, value in extras.items()
+        }
         if self._masks is not None:
             info["action_mask"] = self._masks.unpack(self._shown)
         return info

@@ -284,10 +284,10 @@ class MaskCodec:
             SimulatorError: it does not fit the space.
         """
         rows: list[npt.NDArray[Any]] = []
-        with suppress(TypeError):  # not a sequence where one is expected
+        with suppress(TypeError, ValueError):  # not a sequence where one is expected, or a ragged one
             for leaf, part in zip(self._leaves, parts_of(self._space, mask), strict=True):
                 rows += map(np.asarray, _rows(leaf, part))
-        if [row.shape for row in rows] == [(size,) for size in self._sizes]:
+        if rows and [row.shape for row in rows] == [(size,) for size in self._sizes]:
             bits = np.concatenate(rows)
             if bits.dtype == np.bool_ or ((bits == 0) | (bits == 1)).all():
                 return bits.astype(np.bool_)

@@ -270,7 +270,7 @@ class Sessions:
 
     def _welcome(self, channel: Channel, message: Message, resumed: bool) -> None:
         config = self._config
-        paced = config.pace and message.scalars[1] != Role.AGENT
+        paced = config.pace and message.scalars[1] in (Role.EXPERIMENT, Role.ENVIRONMENT)
         holds = sorted(_offered(message) & (BESIDE | {PACE} if paced else BESIDE))
         confirmed = (tuple(holds),) if holds else ()
         numbers = config.heartbeat, config.timeout, config.max_body

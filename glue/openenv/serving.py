@@ -20,11 +20,11 @@ import uvicorn
 from gymnasium import spaces
 from openenv.core.env_server.http_server import create_fastapi_app
 from openenv.core.env_server.interfaces import Environment as OpenEnvironment
-from openenv.core.env_server.types import Action, Observation, State
+from openenv.core.env_server.types import Action, EnvironmentMetadata, Observation, State
 from pydantic import BaseModel, Field, create_model
 
 from glue.console import say
-from glue.errors import ConfigError
+from glue.errors import ConfigError, SimulatorError
 from glue.gym.client import GlueEnv, wrap
 from glue.gym.spaces import SpaceLike
 from glue.hub.config import is_local
@@ -95,7 +95,9 @@ def application(
     """
     app = create_fastapi_app(*_models(make, name), MAX_SESSIONS, env_name=name, mode="simulation")
     # Sessions over MCP have no connection whose end would end them, and environments of ours have no tools.
-    app.router.routes[:] = [route for route in app.routes if getattr(route, "path", None) != "/mcp"]
+    # A step without a connection would be one of an episode that nobody has begun.
+    left_out = ("/mcp", "/step")
+    app.router.routes[:] = [route for route in app.routes if getattr(route, "path", None) not in left_out]
     return _Guard(app, any_host, idle)
 
 
@@ -107,10 +109,14 @@ def _models(make: Callable[[], Environment], name: str) -> tuple[Any, Any, Any]:
     action_type = _model(f"{name}Action", Action, actions, "action")
     observation_type = _model(f"{name}Observation", Observation, observations, "observation")
 
-    def observed(value: Any, reward: float | None, terminated: bool, truncated: bool) -> Any:
+    def observed(
+        value: Any, reward: float | None, terminated: bool, truncated: bool, info: dict[str, Any]
+    ) -> Any:
         shown = _to_json(observations, value)
         fields = shown if isinstance(observations, spaces.Dict) else {"observation": shown}
-        metadata = {"truncated": True} if truncated else {}
+        metadata: dict[str, Any] = {"truncated": True} if truncated else {}
+        if "action_mask" in info:
+            metadata["action_mask"] = _mask_to_json(info["action_mask"])
         return observation_type(**fields, reward=reward, done=terminated or truncated, metadata=metadata)
 
     class Served(OpenEnvironment):  # type: ignore[misc]
@@ -122,16 +128,21 @@ def _models(make: Callable[[], Environment], name: str) -> tuple[Any, Any, Any]:
             self._state = State()
 
         def reset(self, seed: int | None = None, episode_id: str | None = None) -> Any:
-            observation, _ = self._env.reset(seed=None if seed is None else seed % 2**63)
+            if seed is not None and type(seed) is not int:
+                raise SimulatorError(f"a seed is a whole number, not {seed!r:.80}")
+            observation, info = self._env.reset(seed=None if seed is None else seed % 2**63)
             self._state = State(episode_id=episode_id, step_count=0, task_spec=spec)
-            return observed(observation, None, False, False)
+            return observed(observation, None, False, False, info)
 
         def step(self, action: Any, timeout_s: float | None = None) -> Any:
             value = action.model_dump(exclude={"metadata"})
             given = value if isinstance(actions, spaces.Dict) else value["action"]
             step = self._env.step(_from_json(actions, given))
             self._state.step_count += 1
-            return observed(*step[:4])
+            return observed(*step)
+
+        def get_metadata(self) -> EnvironmentMetadata:
+            return EnvironmentMetadata(name=name, description=f"The RL-Glue environment {name}")
 
         @property
         def state(self) -> State:
@@ -195,6 +206,14 @@ def _to_json(space: SpaceLike, value: Any) -> Any:
     if isinstance(space, spaces.Tuple):
         return [_to_json(part, one) for part, one in zip(space.spaces, value, strict=True)]
     return bytes(value).decode("latin-1") if _is_chars(space) else np.asarray(value).tolist()
+
+
+def _mask_to_json(mask: Any) -> Any:
+    if isinstance(mask, dict):
+        return {key: _mask_to_json(part) for key, part in mask.items()}
+    if isinstance(mask, tuple):
+        return [_mask_to_json(part) for part in mask]
+    return None if mask is None else mask.tolist()
 
 
 def _from_json(space: SpaceLike, value: Any) -> Any:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from glue.installed import entry_points
-from glue.taskspec import RL_GLUE_3, TaskSpec
+from glue.taskspec import RL_GLUE_3, Space, TaskSpec
 from glue.types import Action, Observation
 
 _NAME: Final = re.compile(r"[\w-]{1,64}")
@@ -29,17 +29,21 @@ class Words:
         rules: what happens in the task, what pays, and how to read the picture.
         actions: legal actions by their names; the names have no comma and no `*`.
         image: returns a picture of an observation, as PNG.
+        observations: of the environment; another one of its name has neither its words nor its picture. None
+            for any.
     """
 
     rules: str
     actions: Mapping[str, Action]
     image: Callable[[Observation], bytes] | None = None
+    observations: Space | None = None
 
 
 def find_words(spec: TaskSpec) -> Words:
     """Return the words of the environment of a task spec; empty ones if none are installed."""
     found = _offered("glue.words", spec)
-    return Words(getattr(found, "rules", ""), getattr(found, "actions", {}), getattr(found, "image", None))
+    rules, actions = getattr(found, "rules", ""), getattr(found, "actions", {})
+    return Words(rules, actions, getattr(found, "image", None), getattr(found, "observations", None))
 
 
 def find_picture(spec: TaskSpec) -> Callable[[Observation, bool], list[str]] | None:

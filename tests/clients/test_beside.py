@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
 
 import pytest
 
@@ -12,7 +11,7 @@ from glue import PeerFailed, connect
 from glue.engine.local import local
 from glue.roles import Environment
 from glue.types import Action, Observation, Step
-from tests.clients.languages import LANGUAGES, Language, own_program
+from tests.clients.languages import LANGUAGES, OWN, Language, own_program
 from tests.clients.random_agent import RandomAgent
 from tests.clients.table import program
 from tests.hubs import hub_with
@@ -80,84 +79,13 @@ def test_random_agent_takes_open_doors_only(language: Language) -> None:
     assert [one.extras for one in seen] == [{"doors.steps": number} for number in range(STEPS + 1)]
 
 
-NOWHERE: Final = {
-    "cpp": """
-        #include <glue_rl/glue_rl.hpp>
-
-        struct Nowhere : glue_rl::Environment {
-          std::string init() override { return "TASK_SPEC"; }
-          glue_rl::Observation start() override { return masked(true); }
-          Step step(const glue_rl::ActionView&) override { return {0, false, masked(false)}; }
-          static glue_rl::Observation masked(bool somewhere) {
-            glue_rl::Observation seen{{0}};
-            seen.mask = {false, true, false, somewhere, false};
-            return seen;
-          }
-        };
-
-        int main() {
-          Nowhere nowhere;
-          return glue_rl::run(nowhere, glue_rl::Options("nowhere"));
-        }
-    """,
-    "java": """
-        import gluerl.*;
-
-        class Walker implements Environment {
-            public String init() { return "TASK_SPEC"; }
-            public Observation start() { return masked(true); }
-            public Step step(Action action) { return new Step(0, false, masked(false)); }
-
-            static Observation masked(boolean somewhere) {
-                return new Observation(0).withMask(false, true, false, somewhere, false);
-            }
-
-            public static void main(String[] args) {
-                Glue.serve(new Walker(), Options.named("nowhere"));
-            }
-        }
-    """,
-    "javascript": """
-        import { serveEnvironment } from "glue-rl";
-
-        const masked = (somewhere) => ({ ints: [0], mask: [0, 1, 0, somewhere, 0] });
-        await serveEnvironment({
-          init: () => "TASK_SPEC",
-          start: () => masked(1),
-          step: () => ({ reward: 0, terminal: false, observation: masked(0) }),
-        });
-    """,
-    "rust": """
-        use glue_rl::{serve_environment, Action, Environment, Error, Observation, Options, Outcome, Step};
-
-        struct Nowhere;
-
-        fn masked(somewhere: bool) -> Observation {
-            Observation { mask: vec![false, true, false, somewhere, false], ..[0].into() }
-        }
-
-        impl Environment for Nowhere {
-            fn init(&mut self) -> Outcome<String> { Ok("TASK_SPEC".to_owned()) }
-            fn start(&mut self) -> Outcome<Observation> { Ok(masked(true)) }
-            fn step(&mut self, _: &Action) -> Outcome<Step> {
-                Ok(Step { observation: masked(false), ..Step::default() })
-            }
-        }
-
-        fn main() -> Result<(), Error> {
-            serve_environment(&mut Nowhere, &Options::named("nowhere")).map(|_| ())
-        }
-    """,
-}
-"""In each language an environment whose second mask leaves the second int of an action no legal value."""
-
-
 def test_mask_without_a_legal_value_is_an_error_where_it_is_made(
     language: Language, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     task_spec = Doors().env_init().replace("(0 2) (5 11)", "(0 1) (4 6)")
-    start = own_program(language, NOWHERE[language.name].replace("TASK_SPEC", task_spec), tmp_path)
+    nowhere = Path(__file__).with_name("nowhere").with_suffix(Path(OWN[language.name][0]).suffix)
+    start = own_program(language, nowhere.read_text("utf-8").replace("TASK_SPEC", task_spec), tmp_path)
 
     # The agent reads no masks: only the environment can have noticed.
     with hub_with(SkeletonAgent()) as url, program(start, url), connect(url) as glue:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from env_server.toys import MinesEnvironment
-from glue import Action, Agent, Environment, Observation, local, make
+from glue import Action, Agent, Environment, Observation, local
 from glue.batches import (
     Batch,
     Ragged,
@@ -236,19 +236,24 @@ def test_games_of_a_batch_are_checked_as_single_ones_are() -> None:
 
 
 def test_games_of_a_batch_are_seeded_apart_and_play_as_alone() -> None:
-    batch = BatchedEnvironments([make("mario") for _ in range(2)])
-    batch.env_seed(3)
-    games, spec = read_batch_task_spec(batch.env_init())
-    assert (games, spec.split()[1]) == (2, "Mario-v1")
-    shown = unpack_batch(batch.env_start()).observations.values(Observation)
-    alone = make("mario")
-    alone.env_init()
-    assert shown == [alone.env_start()] * 2
-    action = pack_actions(Ragged.of([Action([1, 0, 1]), Action([0, 1, 0])]))
-    _, observation, terminal, *_ = batch.env_step(action)
-    assert terminal is False
-    assert (
-        unpack_batch(observation).observations.values(Observation)[0] == alone.env_step(Action([1, 0, 1]))[1]
-    )
+    games, alone = ([MinesEnvironment(random_start=True) for _ in range(8)] for _ in range(2))
+    batch = BatchedEnvironments(games)
+
+    def start() -> list[Observation]:
+        batch.env_seed(3)
+        for one, game in zip(alone, games, strict=True):
+            one.env_load(game.env_save())  # seeded as the batch has seeded it
+        assert read_batch_task_spec(batch.env_init()) == (8, alone[0].env_init())
+        return unpack_batch(batch.env_start()).observations.values(Observation)
+
+    shown = start()
+    assert len({int(one.ints[0]) for one in shown}) == 8
+    assert start() == shown == [one.env_start() for one in alone]
+    actions = [Action([game % 4]) for game in range(8)]
+    steps = [one.env_step(action) for one, action in zip(alone, actions, strict=True)]
+    assert not any(step.terminal for step in steps)
+    reward, observation, terminal, *_ = batch.env_step(pack_actions(Ragged.of(actions)))
+    assert (reward, terminal) == (sum(step.reward for step in steps), False)
+    assert unpack_batch(observation).observations.values(Observation) == [step.observation for step in steps]
     with pytest.raises(GlueError):
-        batch.env_step(Action([1, 0, 1]))
+        batch.env_step(Action([1]))

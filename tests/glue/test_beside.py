@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from enum import Enum, IntEnum, StrEnum
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,19 @@ def test_a_mask_is_as_large_as_its_size_can_say() -> None:
         Observation(mask=[True] * (MAX_MASK_BITS + 1))
 
 
-def test_extras_may_be_given_in_numpys_forms() -> None:
+class Death(StrEnum):
+    FALL = "fall"
+
+
+class Mode(IntEnum):
+    LARGE = 1
+
+
+class Named(Enum):
+    FALL = "fall"
+
+
+def test_extras_may_be_given_in_the_forms_of_numpy_and_enums() -> None:
     forms: list[tuple[Any, object]] = [
         (np.int32(3), 3),
         (np.float32(0.5), 0.5),
@@ -92,6 +105,13 @@ def test_extras_may_be_given_in_numpys_forms() -> None:
         (np.ones(2), (1.0, 1.0)),
         (np.True_, 1),
         ((1,), (1,)),
+        (np.str_("a"), "a"),
+        (np.bytes_(b"a"), b"a"),
+        (Death.FALL, "fall"),
+        (Named.FALL, "fall"),
+        (Mode.LARGE, 1),
+        ([np.float64(0.5), 1.0], (0.5, 1.0)),
+        ([Mode.LARGE, True, 0], (1, 1, 0)),
     ]
     for given_, read in forms:
         assert Observation(extras={"a": given_}).extras == {"a": read}
@@ -121,9 +141,19 @@ def test_richer_extras_are_refused_where_they_are_made(extras: Any, words: str) 
         Observation(extras=extras)
 
 
-@pytest.mark.parametrize(("data", "why"), [(b"\xc1", "FormatError"), (b"\x81\xa1", "incomplete")])
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"\xc1", "extras that are not msgpack.*FormatError"),
+        (b"\x81\xa1", "extras that are not msgpack.*incomplete"),
+        (b"\x91\x01", r"extras that are \[1\] instead of a map"),
+        (b"\x81\xa4a\xc2\xa0b\x00", "0 as an extra, but the name .* 'a.xa0b'"),
+        (b"\x81\xa1a\xc0", "None as an extra, but the extra 'a' must be a number"),
+        (b"\x82\xa1a\x01\xa1a\x02", "two extras with the same name"),
+    ],
+)
 def test_bytes_that_are_no_extras_are_explained(data: bytes, why: str) -> None:
-    with pytest.raises(RemoteProtocolError, match=f"the environment sent extras that are not msgpack.*{why}"):
+    with pytest.raises(RemoteProtocolError, match=f"^the environment sent {why}"):
         unpack_extras(data)
 
 

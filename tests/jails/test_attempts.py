@@ -95,7 +95,7 @@ def test_an_image_plays_as_it_was_admitted_however_its_tag_moves_and_its_engine_
     assert served.act("rerun", subject="alice")
     wait_until(lambda: served.over() == 2, "the second attempt")
     assert served.act("close")
-    assert served.server.wait(60) == 0
+    assert served.server.wait(120) == 0
     verified = forked.run("glue-compete", "verify", "run", cwd=tmp_path)
     assert "2 of 2 trials are verified" in verified.stderr
     with Results.open(served.run) as results:
@@ -117,7 +117,7 @@ def test_an_attempt_costs_nothing_more_when_the_engine_is_started_again(
     assert [one.why for one in entrant.attempts.values() if one.state == "over"] == [""]
     assert entrant.used.total() == 1
     assert served.act("close")
-    assert served.server.wait(60) == 0
+    assert served.server.wait(120) == 0
     forked.run("glue-compete", "verify", "run", cwd=tmp_path, status=0)
     with Results.open(served.run) as results:
         lost = "went away" if how is signal.SIGKILL else "was told to kill"

@@ -8,6 +8,7 @@ import tarfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from experiment_runner.store.records import Checkpoint
 from experiment_runner.store.results import Results
@@ -64,6 +65,14 @@ def metrics(directory: Path) -> list[list[list[str]]]:
     """Return the metric values of each trial that has any, which must be the same, too."""
     with Results.open(directory) as results:
         return [[[*map(str, row)] for row in rows] for rows in metric_table(results).rows]
+
+
+def kill(command: subprocess.Popen[Any]) -> None:
+    """Kill a command, and check that none of its processes outlives it."""
+    processes = children(command.pid)
+    command.kill()
+    command.communicate()
+    wait_until(lambda: not any(map(alive, processes)), "the end of its processes")
 
 
 def children(pid: int, naming: str = "") -> list[int]:

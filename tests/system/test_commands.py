@@ -347,16 +347,6 @@ def test_environment_variables_set_options(tmp_path: Path, monkeypatch: pytest.M
         assert shown.returncode == 0, shown.stderr
 
 
-@pytest.mark.parametrize("command", [["glue-agent", "random"], ["glue-experiment", "--episodes", "1"]])
-def test_hub_that_does_not_answer_is_given_up_after_the_wait(command: list[str], tmp_path: Path) -> None:
-    shown = run(*command, "--hub", "ipc:///nowhere/hub", "--wait", "0.2", cwd=tmp_path)
-    assert shown.returncode == 1
-    assert re.search("^Error: no hub has answered at ipc:///nowhere/hub for 0.2 s", shown.stderr, re.M)
-    assert shown.stderr.endswith(" (--wait)\n")
-    assert "None" not in shown.stderr
-    assert "Traceback" not in shown.stderr
-
-
 @pytest.mark.parametrize(
     ("words", "incomplete", "completions"),
     [
@@ -379,6 +369,7 @@ def test_shell_completes_names(
     assert all(line.rpartition(",")[2].startswith(incomplete) for line in shown.stdout.splitlines())
 
 
+NOWHERE = "--hub ipc:///nowhere/hub --wait 0.2"
 WATCH_MINES = "glue-watch --env mines --agent sarsa"
 
 MISTAKES = {
@@ -397,6 +388,12 @@ MISTAKES = {
     "an address open to others": ("glue-hub --bind tcp://0.0.0.0:4999", "--insecure"),
     "a key without that of the hub": ("glue-agent random --key own", "(--hub-key)"),
     "no key, of a subcommand": ("glue-compete board . --signed-by nowhere", "(--signed-by)"),
+    "no hub for a player": (
+        f"glue-agent random {NOWHERE}",
+        "no hub has answered at ipc:///nowhere/hub for 0.2 s",
+    ),
+    "no hub for an experiment": (f"glue-experiment --episodes 1 {NOWHERE}", "check the address (--wait)"),
+    "two levels of the log": ("glue-hub --quiet --verbose", "--quiet and --verbose"),
     "two options at once": ("glue-hub --legacy-port 0.0.0.0:4096", "(--legacy-port, --insecure)"),
     "no file to load": (f"{WATCH_MINES} --load nothing.agent", "cannot read nothing.agent"),
     "a file that is no save": (f"{WATCH_MINES} --load /etc/passwd", "are not a save of agent sarsa"),

@@ -27,7 +27,7 @@ from tests.scripted.peer import TIMEOUT, ScriptedPeer
 
 RECORDED: Final = Path(__file__).parents[1] / "golden/conversation.jsonl"
 ROLES: Final = ("agent", "environment", "experiment")
-CONFIG: Final = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.5, timeout=60.0)
+CONFIG: Final = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.5, timeout=60.0, greeting=60.0)
 _NEWER: Final = ("extras", "mask", "outcome", "pace", "truncate")
 """Capabilities that the first hub does not know, and ignores."""
 

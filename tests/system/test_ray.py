@@ -65,7 +65,6 @@ def test_engines_agree(cluster: str, tmp_path: Path) -> None:
     plan = (*SARSA, "--episodes", 40, "--trials", 4)
     for how, name in (
         (("--in-process",), "one"),
-        (("--in-process", "--workers", 2), "workers"),
         (("--in-process", "--engine", "ray", "--address", cluster), "ray"),
         (("--engine", "ray", "--address", cluster, "--workers", 2), "ray with players of their own"),
     ):
@@ -124,7 +123,7 @@ def test_a_season_lets_attempts_play_on_the_cluster(cluster: str, tmp_path: Path
     try:
         wait_until(played, "two attempts")
         assert ask(tmp_path / "run", {"do": "act", "act": "close", "why": "it is over"})["ok"]
-        assert server.wait(60) == 0
+        assert server.wait(120) == 0
     finally:
         server.kill()
     verified = forked.run("glue-compete", "verify", "run", cwd=tmp_path)

@@ -17,7 +17,7 @@ import pytest
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from tests.proof import FULL, size
-from tests.system.runs import SLOW_AGENT, alive, children, contents, metrics, start, wait_until
+from tests.system.runs import SLOW_AGENT, children, contents, kill, metrics, start, wait_until
 
 pytestmark = pytest.mark.stage("kills")
 
@@ -69,15 +69,6 @@ def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Ran
     wait_while_running(experiment, done, program)
 
 
-def kill_experiment(experiment: subprocess.Popen[str]) -> None:
-    """Kill the experiment, and check that no process outlives it."""
-    processes = children(experiment.pid)
-    experiment.kill()
-    experiment.communicate()
-    assert experiment.returncode == -signal.SIGKILL, "finished too early"
-    wait_until(lambda: not any(map(alive, processes)), "the end of its processes")
-
-
 def wait_for_an_episode(experiment: subprocess.Popen[str], directory: Path) -> None:
     """Wait until one more episode is stored than now."""
 
@@ -104,13 +95,14 @@ def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tm
     command = [*PLANS[plan], *options, "--workers", 2, "--checkpoint-every", 20, "--out", "killed"]
     chance = random.Random(4)
     experiment = start(*command, cwd=tmp_path)
-    for kill in range(KILLS):
+    for number in range(KILLS):
         time.sleep(chance.uniform(0, LONGEST_LIFE))
-        victim = VICTIMS[kill % len(VICTIMS)]
-        if not FULL or (kill // len(VICTIMS)) % 2:  # in the middle of episodes, not at a start
+        victim = VICTIMS[number % len(VICTIMS)]
+        if not FULL or (number // len(VICTIMS)) % 2:  # in the middle of episodes, not at a start
             wait_for_an_episode(experiment, tmp_path / "killed")
         if victim == "experiment":
-            kill_experiment(experiment)
+            kill(experiment)
+            assert experiment.returncode == -signal.SIGKILL, "finished too early"
             experiment = start(*command, cwd=tmp_path)
         else:
             kill_one(experiment, victim, chance)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +28,7 @@ __all__ = ["ports"]
 BACKGROUND: Final = "runs in the background"
 UNIT: Final = DOCS / "examples" / "season" / "glue-season.service"
 COMPOSE: Final = DOCS.parent / "docker" / "season.yaml"
+PATH: Final = f"{Path(sys.executable).parent}:/usr/bin:/bin"
 SLOTS: Final = 4
 
 
@@ -39,10 +41,9 @@ def text_of(page: str, port: int) -> str:
 @contextmanager
 def in_background(block: Block, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run a block until the context ends; the season's page answers, if it has one."""
-    path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
     with (folder / "log").open("ab") as log:
         command = ["bash", "-c", f"exec {block.body}"]
-        process = subprocess.Popen(command, cwd=folder, env={"PATH": path}, stdout=log, stderr=log)
+        process = subprocess.Popen(command, cwd=folder, env={"PATH": PATH}, stdout=log, stderr=log)
     try:
         if page := re.search(r"--page (\S+)", block.body):
             wait_until(lambda: health(page[1]) == 200, "the page")
@@ -50,6 +51,18 @@ def in_background(block: Block, folder: Path) -> Iterator[subprocess.Popen[bytes
     finally:
         process.send_signal(signal.SIGINT)
         assert process.wait(60) in (0, 130), (folder / "log").read_text()
+
+
+@contextmanager
+def again_and_again(block: Block, folder: Path, *entrants: str) -> Iterator[None]:
+    """Run the block of alice for each of these entrants, at the same time, until the context ends."""
+    with ExitStack() as stack:
+        for name in entrants:
+            command = ["bash", "-c", block.body.replace("alice", name)]
+            process = subprocess.Popen(command, cwd=folder, env={"PATH": PATH}, start_new_session=True)
+            stack.callback(process.wait)
+            stack.callback(os.killpg, process.pid, signal.SIGKILL)
+        yield
 
 
 def health(address: str) -> int:
@@ -74,6 +87,7 @@ class Followed:
     def __init__(self, page: str, folder: Path, port: int) -> None:
         self.folder = folder
         self.port = port
+        self.url = f"http://127.0.0.1:{port + SLOTS}"
         self._blocks = iter(blocks(text_of(page, port)))
 
     def until(self, note: str) -> Block:
@@ -106,17 +120,21 @@ def test_a_season_goes_from_its_file_to_its_certificate(tmp_path: Path, ports: i
         assert any("misunderstanding" in act for act in board["acts"])
     assert "verified" in page.run(backup)
     with in_background(serve, tmp_path) as server:
+        page.run(Block(RUNS, "sh", f"glue-compete join {page.url} --code plum --name bob --dir bob"))
+        shutil.copy(tmp_path / "bob" / "bob.key_secret", tmp_path)
         final = page.until(f"{BACKGROUND}: final")
-        assert server.wait(120) == 0  # closed
-    with in_background(final, tmp_path) as run:
-        page.run(page.until(f"{RUNS}: final"))
-        assert run.wait(120) == 0
+        assert server.wait(120) == 0
+    assert json.loads((tmp_path / "public" / "season.json").read_text())["state"] == "closed"
+    each = page.until(f"{BACKGROUND}: for each entrant")
+    with in_background(final, tmp_path) as run, again_and_again(each, tmp_path, "alice", "bob"):
+        assert run.wait(240) == 0
+    played = re.findall(r"(\w+)/final/\d: \S+ in 10 episodes", (tmp_path / "log").read_text())
+    assert sorted(played) == ["alice"] * 3 + ["bob"] * 3
     printed = page.run(page.until(f"{RUNS}: results"))
     assert "signed with" in printed
     certificate = (tmp_path / "board.html").read_text()
     assert "alice" in certificate
     assert "Every score was verified by replay" in certificate
-    assert (tmp_path / "public" / "index.html").is_file()
 
 
 @pytest.mark.stage("docs")
@@ -135,6 +153,9 @@ def test_the_unit_and_the_container_start_a_season_with_options_that_there_are()
     for line in (unit()["ExecStart"], container()):
         _, command, *arguments = shlex.split(line)
         compete.commands[command].make_context(command, arguments)
+    gateway = re.search(r"gateway: ([\d.]+)", COMPOSE.read_text("utf-8"))
+    assert gateway is not None
+    assert f"--proxy-address {gateway[1]}\n" in container()
 
 
 def unit() -> dict[str, str]:

@@ -182,13 +182,13 @@ def running(*arguments: object, cwd: Path) -> Iterator[Terminal]:
 
 INTERRUPTED = (
     *(*MINES, "--agent", "slow.py:Slow", "--episodes", 40, "--trials", 2),
-    *("--agent-option", "while_there=there", "--agent-option", "pause=0.05"),
+    *("--agent-option", "while_there=there", "--agent-option", "pause=0.5"),
 )
 
 
 @pytest.fixture
 def slowed(tmp_path: Path) -> Path:
-    """Return a folder in which that run lasts for two seconds."""
+    """Return a folder in which that run lasts for at least 20 seconds."""
     shutil.copy(SLOW_AGENT, tmp_path)
     (tmp_path / "there").touch()
     return tmp_path

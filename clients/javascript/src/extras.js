@@ -11,6 +11,8 @@ const NAME = /^[^\p{C}\p{Zl}\p{Zp}]{1,64}$/u;
 
 /** @param {Readonly<Record<string, ExtraLike>>} extras @returns {Buffer} nothing if there are none */
 export function packExtras(extras) {
+  const kind = Object.getPrototypeOf(extras);
+  if (kind !== Object.prototype && kind !== null) throw new TypeError("extras are a plain object, of values by name");
   const all = Object.entries(extras);
   if (all.length === 0) return Buffer.alloc(0);
   if (all.length > MAX_ITEMS) throw new RangeError(`an observation has at most ${MAX_ITEMS} extras, not ${all.length}`);
@@ -31,8 +33,8 @@ function packExtra(packer, name, value) {
   else if (value instanceof Uint8Array) packer.binary(fitting(value, name));
   else if (Array.isArray(value) || (ArrayBuffer.isView(value) && "length" in value)) {
     const numbers = Array.from(/** @type {ArrayLike<number | bigint>} */ (fitting(value, name)));
-    const odd = numbers.find((one) => typeof one !== "number" && typeof one !== "bigint");
-    if (odd !== undefined) throw new TypeError(`an array among the extras is flat and of numbers; ${name} has ${typeof odd}`);
+    const odd = numbers.findIndex((one) => typeof one !== "number" && typeof one !== "bigint");
+    if (odd >= 0) throw new TypeError(`an array among the extras is flat and of numbers; ${name} has ${typeof numbers[odd]}`);
     const whole = !(value instanceof Float64Array || value instanceof Float32Array) && numbers.every(isWhole);
     packer.array(numbers.length);
     for (const one of numbers) packNumber(packer, one, whole);

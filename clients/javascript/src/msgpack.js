@@ -49,8 +49,8 @@ export class Packer {
 
   /** An integer from -2^63 to 2^63 - 1. @param {number | bigint} value @returns {this} */
   signed(value) {
+    if (value < ~MAX_INT || value > MAX_INT) throw new RangeError(`integers are from -2^63 to 2^63 - 1, not ${value}`);
     if (value >= 0) return this.int(value);
-    if (value < ~MAX_INT) throw new RangeError(`integers are from -2^63 to 2^63 - 1, not ${value}`);
     const small = Number(value);
     if (small >= -0x20) this.#bytes.push(small & 0xff);
     else if (small >= -0x80) this.#bytes.push(0xd0, small & 0xff);

@@ -27,7 +27,6 @@ from experiment_runner.competition.records.seal import record_verdict, reseal_ve
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.plan.user_files import players_of
-from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.records import EpisodeResult, ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
@@ -58,7 +57,7 @@ def verify(
     A run may come from anyone, so it cannot name code that is to be run: the user does.
 
     Args:
-        store: of the run.
+        store: of the run, whose trials are of the competition's tasks, see `Course.check_trials`.
         steps: number of steps of each task; 0 if its episodes count.
         say: shows a line for each problem.
         environments: names of environments that may be played besides the installed ones. A file stands for
@@ -66,15 +65,11 @@ def verify(
 
     Raises:
         ConfigError: a trial is of another environment, or has an opponent that is neither.
-        ExperimentError: a trial is of no task of the competition.
         StorageError: the run cannot be written to.
     """
     given = {without_place(name): name for name in environments}
     foreign = not_installed(store)
     specs = [_played_by(given, foreign, record.spec) for record in store.trials()]
-    for spec in specs:
-        if spec.id.parts[1] not in steps:
-            raise ExperimentError(f"{spec.id!s:.80} is of a task that {COMPETITION_FILE} does not have")
     seal(store)
     outcomes = store.outcomes()
     problems = 0

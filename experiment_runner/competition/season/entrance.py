@@ -120,15 +120,22 @@ class Rate:
             self._used_until = {one: used for one, used in self._used_until.items() if used > now}
         self._used_until[who] = until
 
+    def give_back(self, who: str) -> None:
+        """Take back that `who` was let do it."""
+        self._used_until[who] = self._used_until.get(who, 0.0) - self._interval
 
-def routes(directory: Path, now: Callable[[], float] = time.time) -> list[BaseRoute]:
+
+def routes(
+    directory: Path, now: Callable[[], float] = time.time, proxy: str | None = None
+) -> list[BaseRoute]:
     """Return the routes.
 
     Args:
         directory: of the season.
         now: returns seconds since 1970.
+        proxy: as for `address_of`.
     """
-    entrance = _Entrance(directory, now)
+    entrance = _Entrance(directory, now, proxy)
     return [
         Route(f"{PREFIX}join", _answering(entrance.join), methods=["POST"]),
         Route(f"{PREFIX}attempt", _answering(entrance.passing("attempt")), methods=["POST"]),
@@ -159,9 +166,10 @@ def _answering(endpoint: _Endpoint) -> Callable[[Request], Awaitable[Response]]:
 
 
 class _Entrance:
-    def __init__(self, directory: Path, now: Callable[[], float]) -> None:
+    def __init__(self, directory: Path, now: Callable[[], float], proxy: str | None) -> None:
         self._directory = directory
         self._now = now
+        self._address_of = partial(address_of, proxy=proxy)
         self._start = secrets.token_hex()
         self._once = Once()
         self._of_address = Rate(50, 500, now)
@@ -171,7 +179,7 @@ class _Entrance:
         self._uploading: set[str] = set()
 
     async def join(self, request: Request) -> _Answer:
-        self._joins.take(address_of(request))
+        self._joins.take(self._address_of(request))
         body = await self._json(request)
         try:
             key = decode(str(body.get("key")))
@@ -190,13 +198,13 @@ class _Entrance:
         return pass_on
 
     async def tasks(self, request: Request) -> _Answer:
-        self._of_address.take(address_of(request))
+        self._of_address.take(self._address_of(request))
         # Not the journal, which anybody could make the page read, however long it is.
         file = self._directory / COMPETITION_FILE
         return tasks_of(await run_in_threadpool(partial(load_competition, file, follow=False)))
 
     async def start(self, request: Request) -> _Answer:
-        self._of_address.take(address_of(request))
+        self._of_address.take(self._address_of(request))
         return {"start": self._start}
 
     async def image(self, request: Request) -> _Answer:
@@ -222,6 +230,7 @@ class _Entrance:
         if entrant in self._uploading:
             raise Denied("another image of this entrant is being received", 429, _RESTART_SECONDS)
         if len(self._uploading) >= _MOST_UPLOADS:
+            self._images.give_back(entrant)  # not by its fault
             raise Denied(f"{_MOST_UPLOADS} images are being received: try again", 503, _RESTART_SECONDS)
         self._uploading.add(entrant)
         try:
@@ -230,6 +239,7 @@ class _Entrance:
             with tempfile.TemporaryFile(dir=self._directory) as file:
                 yield cast("BinaryIO", file)
         except OSError as error:
+            self._images.give_back(entrant)
             why = f"the season's machine cannot keep the image: {error.strerror}; tell its organiser"
             raise Denied(why, 503, 600) from None
         finally:
@@ -242,7 +252,7 @@ class _Entrance:
             Unsigned: no entrant has, or the request was received before.
             Denied: there is no such entrant, it asks too often, or the page was started since.
         """
-        self._of_address.take(address_of(request))
+        self._of_address.take(self._address_of(request))
         entrant: str = request.headers.get(ENTRANT, "")
         if not entrant or len(entrant) > _MOST_LETTERS or not entrant.isascii():
             raise Denied(f"the request needs the header {ENTRANT}: the name of the entrant", 403)
@@ -325,15 +335,16 @@ async def _loaded(file: BinaryIO, most: int, directory: Path) -> str:
     return str(found["id"])
 
 
-def address_of(request: Request) -> str:
+def address_of(request: Request, proxy: str | None = None) -> str:
     """Return the address that limits count by; one network of IPv6 is one.
 
-    A proxy on this machine says whom it asks for, after whatever that one has sent itself.
+    A proxy, on this machine or at `proxy`, says whom it asks for, after whatever that one has sent itself.
     """
     host = request.client.host if request.client else ""
     try:
         address = _ip(host)
-        if address.is_loopback and (passed := request.headers.getlist("x-forwarded-for")):
+        is_proxy = address.is_loopback or str(address) == proxy
+        if is_proxy and (passed := request.headers.getlist("x-forwarded-for")):
             address = _ip(passed[-1].rpartition(",")[2].strip())
     except ValueError:
         return host

@@ -72,6 +72,9 @@ _SLACK_SECONDS: Final = 3600.0
 _REST_SECONDS: Final = 5.0
 """Time before a slot is used again after an attempt that failed there, and before its entrant plays again."""
 
+_FAREWELL_SECONDS: Final = 30.0
+"""Time after the last attempt of a season that is closed, for its program to learn its result."""
+
 _MOST_DOUBLED: Final = 7
 """Number of failures in a row with each of which an entrant's time is doubled."""
 
@@ -197,12 +200,13 @@ class Server(Matches):
         """When an entrant whose attempt failed here may play again, and its slot: the port may be taken."""
         self._began = clock()
         self._looked = -math.inf
+        self._ended = -math.inf  # when the last attempt was over
         self._boards: Boards | None = None
         self._boards_of = 0  # the number of acts in it
         self._boards_until = 0.0  # when they may be computed again
 
     def serve(self, executor: Executor) -> None:
-        """Serve until the season is closed and what was played is over.
+        """Serve until the season is closed, what was played is over, and its programs can have learnt of it.
 
         Raises:
             ConfigError: a port is in use.
@@ -221,7 +225,7 @@ class Server(Matches):
             stack.enter_context(interrupts.deferred())
             self.begin(dispatcher)
             while self.turn(_TURN_SECONDS) or not interrupts.requested:
-                if self.over:
+                if self.may_end:
                     break
                 door.serve(self.answer, 0 if dispatcher.running else _IDLE_SECONDS)
 
@@ -229,6 +233,11 @@ class Server(Matches):
     def over(self) -> bool:
         """Whether the season is closed, and what was played is over."""
         return self._state.closed is not None and not self._slots
+
+    @property
+    def may_end(self) -> bool:
+        """Whether it is over, and has been for as long as programs may take to ask for their results."""
+        return self.over and self._clock() >= self._ended + _FAREWELL_SECONDS
 
     def begin(self, dispatcher: Dispatcher) -> None:
         """Go on with the attempts that were played when the server before this one ended."""
@@ -339,6 +348,8 @@ class Server(Matches):
     def _shown(self, entrant: Enrolled, one: Attempt) -> Reply:
         """Return the reply about an attempt to its owner."""
         name, reply = entrant.name, Reply(attempt=one.number)
+        if one.start is not None and IMAGE_ID.fullmatch(one.start.id):
+            reply["image"] = True
         slot = self._slots.get(name)
         if one.state == "waiting":
             queue = schedule.queue(self._state)
@@ -566,6 +577,7 @@ class Server(Matches):
     def _leave(self, slot: _Slot) -> None:
         """Take the slot from an attempt that is no longer played."""
         del self._slots[slot.attempt.entrant]
+        self._ended = self._clock()
         for trial_id in slot.trials:
             self.forget(trial_id)
             self._jobs.pop(trial_id, None)

@@ -61,7 +61,7 @@ def level_set(name: str) -> LevelSet | LevelFolder:
     Raises:
         ConfigError: there is no such set, or it has fewer levels; or the levels of a folder have changed.
     """
-    if name not in LEVEL_SETS and Path(name.partition("#")[0]).is_dir():
+    if name not in LEVEL_SETS and any(Path(one).is_dir() for one in (name, name.rsplit("#", 1)[0])):
         return read_folder(name)
     name, colon, count = name.partition(":")
     if name not in LEVEL_SETS:

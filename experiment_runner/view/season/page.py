@@ -18,7 +18,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp
 
-from experiment_runner.competition.season.board import PUBLIC
+from experiment_runner.competition.season.board import ORGANISER, PUBLIC
 from experiment_runner.competition.season.control import NoServer, Reply, ask
 from experiment_runner.view.app import application, file_routes, static_file
 from experiment_runner.view.guard import READING, Address, Guard, cookie_of
@@ -70,7 +70,7 @@ class SeasonGuard(Guard):
             return PlainTextResponse("The page can only be read.", 405, {"Allow": ", ".join(READING)})
         viewer = self._viewers.get(digest_of(cookie_of(request, self.cookie)), PUBLIC)
         request.scope[_VIEWER] = viewer
-        if viewer != PUBLIC or (path == _UPLOAD and request.method == "PUT"):
+        if viewer == ORGANISER or (path == _UPLOAD and request.method == "PUT"):  # anybody may be an entrant
             self.admit(request)
         return None
 

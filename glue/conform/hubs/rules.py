@@ -141,8 +141,8 @@ def outcome(scene: Scene) -> None:
 
 @RULES.add(Tier.COMPLETE, "an-environment-that-does-not-wait")
 def pace(scene: Scene) -> None:
-    """A late agent is called again only when it has answered: with all rewards since, and what is newest."""
-    # Three steps of an agent with the capability `pace`, which answers the first after them.
+    """A late agent is called again only when it has answered, with all rewards since; its answer counts."""
+    # An episode of an agent with the capability `pace`, which answers the first step after the third.
     scene.agent, scene.experiment = (scene.peer(role, "pace") for role in (Role.AGENT, Role.EXPERIMENT))
     scene.begin()
     number = scene.first_step()
@@ -159,15 +159,7 @@ def pace(scene: Scene) -> None:
         return
     scene.agent.check(len(told) >= 2, f"{described(late)} received, with a time before now")
     for step in (2, 3):
-        action = scene.experiment.expects(Kind.RL_STEP, scene.experiment.seq).body[len(saw(step)) :]
-        scene.experiment.ask(Kind.RL_NUM_STEPS)
-        counts = scene.experiment.expects(Kind.RL_NUM_STEPS, scene.experiment.seq)
-        scene.experiment.check(
-            counts.scalars in ((step,), (step, step - 1)),
-            f"{described(counts)} received; {step - 1} actions were late",
-        )
-        scene.experiment.ask(Kind.RL_STEP)
-        scene.environment.answers(Kind.ENV_STEP, body=action, reply=(reward(step), False), gives=saw(step))
+        _step_of_late_agent(scene, step)
     scene.agent.expects_nothing()
     scene.agent.send(Kind.AGENT_STEP, seq=late.seq, body=did(1))
     newest = scene.agent.expects(Kind.AGENT_STEP)
@@ -176,6 +168,27 @@ def pace(scene: Scene) -> None:
         newest.scalars[0] == sums and newest.body == saw(3),
         f"{described(newest)} received, and the rewards since the answered observation are {sums}",
     )
+    # Step 4 may have been due before that answer came.
+    actions = _step_of_late_agent(scene, 4), _step_of_late_agent(scene, 5, terminal=True)
+    scene.experiment.check(did(1) in actions, "two steps have not carried out the answer of the late agent")
+    scene.agent.expects_nothing()
+    scene.agent.send(Kind.AGENT_STEP, seq=newest.seq, body=did(3))
+    scene.agent.answers(Kind.AGENT_END, reward(4) + reward(5))
+    scene.experiment.expects_reply(Kind.RL_STEP, reward(5), True, body=saw(5) + actions[1])
+
+
+def _step_of_late_agent(scene: Scene, step: int, terminal: bool = False) -> bytes:
+    """Carry out step `step` as soon as it is due, which ends RL_STEP before it; return its action."""
+    action = scene.experiment.expects(Kind.RL_STEP, scene.experiment.seq).body[len(saw(step)) :]
+    scene.experiment.ask(Kind.RL_NUM_STEPS)
+    counts = scene.experiment.expects(Kind.RL_NUM_STEPS, scene.experiment.seq)
+    scene.experiment.check(
+        counts.scalars in ((step,), (step, step - 1)),
+        f"{described(counts)} received; {step - 1} actions were late",
+    )
+    scene.experiment.ask(Kind.RL_STEP)
+    scene.environment.answers(Kind.ENV_STEP, body=action, reply=(reward(step), terminal), gives=saw(step))
+    return action
 
 
 @RULES.add(Tier.PLAYS, "what-the-calls-mean")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Event, Thread
@@ -11,7 +12,7 @@ import pytest
 
 from agents.language import server
 from agents.language.game import GameOptions, GameOver, LanguageAgent, Phase
-from agents.language.server import play
+from agents.language.server import MCPAgent, play
 from env_server.toys import SkeletonEnvironment
 from glue import Action, ConfigError, Environment, Step, local, make_agent
 
@@ -64,8 +65,9 @@ def test_a_game_is_played_by_calls_from_another_thread() -> None:
         assert play(agent, "act", call) is first
         assert play(agent, "look", {}).data["turn"] == 3
         assert play(agent, "give_up", {"turn": 3}).data["forfeit"]
-        with pytest.raises(GameOver):
-            play(agent, "look", {})
+    agent.game.close()
+    with pytest.raises(GameOver):
+        play(agent, "look", {})
     assert agent.agent_metrics().items() > {"forfeits": 1.0, "illegal": 0.0, "choices": 1.0}.items()
     assert agent.game.record()["answers"] == [{"turn": 3, "answer": '{"turn": 3}'}]
 
@@ -111,7 +113,47 @@ def test_a_call_is_answered_however_long_the_game_takes(monkeypatch: pytest.Monk
     assert answer.data["steps"] == 10
 
 
-def test_without_the_sdk_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "find_spec", lambda name: None)
+def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each trial has an agent of its own, and the client of the first plays all of them."""
+    monkeypatch.setattr(server, "_NEWEST", {})
+    monkeypatch.setattr(server, "_PATIENCE", 0.05)
+    monkeypatch.setattr(server, "find_spec", lambda name: True)
+    monkeypatch.setattr(server, "_has_client", lambda: True)
+    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
+    first = agent = MCPAgent()
+    for turn in (1, 3):
+        with session(agent):
+            while first.game.phase is not Phase.CHOOSING:
+                play(first, "look", {})
+            assert play(first, "give_up", {"turn": turn}).data["episode"] == 1
+        assert play(first, "look", {}).data["over"]  # and no error: the session may not be the last one
+        agent = MCPAgent()
+        assert "has not begun" in play(first, "look", {}).text
+    with pytest.raises(ConfigError, match="stdio serves one session"):
+        first.agent_init(SkeletonEnvironment().env_init())
+
+    def interrupted(seconds: float | None) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(first._thread, "join", interrupted)
+    first._leave()
+    with pytest.raises(GameOver):
+        play(first, "look", {})
+
+
+def test_an_experiment_has_no_client_at_its_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_NEWEST", {})
+    monkeypatch.setattr(server, "find_spec", lambda name: True)
+    nothing = os.stat(os.devnull)
+    monkeypatch.setattr("os.fstat", lambda descriptor: nothing)
+    with pytest.raises(ConfigError, match="standard input is no client's: give mcp a port"):
+        make_agent("mcp")
+
+
+@pytest.mark.parametrize("installed", [[], ["mcp"]])
+def test_without_version_2_of_the_sdk_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, installed: list[str]
+) -> None:
+    monkeypatch.setattr(server, "find_spec", lambda name: name in installed or None)
     with pytest.raises(ConfigError, match=r"glue-rl\[mcp\]"):
         make_agent("mcp")

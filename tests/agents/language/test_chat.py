@@ -65,7 +65,7 @@ def endpoint(reply: Reply) -> Iterator[str]:
         server.server_close()
 
 
-SECRET = "sk-do-not-show"
+SECRET = "sk-do/not+show"
 
 
 def model(*answers: str) -> Reply:
@@ -85,7 +85,11 @@ def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
         ("act: right", (["right"], "end")),
         ("I go left.\nact: left\nNo:\n Act: up, down*3 until reward", (["up", "down*3"], "reward")),
         ("**ACT:** .5 0 1, `stay`, stay*2.\n", ([".5 0 1", "stay", "stay*2"], "end")),
-        ("act: right UNTIL never", (["right UNTIL never"], "end")),
+        ("act: right UNTIL never", (["right"], "never")),
+        ("ACT: RIGHT UNTIL reward", (["RIGHT"], "reward")),
+        ("act: right*5, until reward", (["right*5"], "reward")),
+        ("**act: right,up** until **Reward**.", (["right", "up"], "reward")),
+        ("- act: -1 0 1, right", (["-1 0 1", "right"], "end")),
         ("act: right until never", (["right"], "never")),
         ("I am stuck.\nGive up.", ([], "end")),
         ("act:", ([""], "end")),
@@ -119,7 +123,10 @@ def test_a_model_plays_with_the_rules_its_history_and_its_sampling() -> None:
     assert [message["role"] for message in first["messages"]] == ["system", "user"]
     assert "The left end pays -1" in first["messages"][0]["content"]
     assert "Turn 1." in first["messages"][1]["content"]
-    assert "Illegal: no list of actions was given" in second["messages"][-1]["content"]
+    illegal = second["messages"][-1]["content"]
+    assert illegal.startswith("Illegal: no list of actions was given")
+    assert "Turn 2." in illegal
+    assert illegal.count("@") == 1
     assert len(third["messages"]) == 4  # the rules, one earlier choice and its answer, and the question
     counts = {"choices": 3, "illegal": 1, "repeated": 0, "forfeits": 0, "tokens_in": 30, "tokens_out": 12}
     assert record["counts"].items() > counts.items()
@@ -157,7 +164,9 @@ def test_an_endpoint_without_time_left_forfeits_the_episode() -> None:
         agent.agent_init(SkeletonEnvironment().env_init())
         assert agent.agent_start(Observation([10])).ints.tolist() == [0]
         asked.set()
-    assert json.loads(agent.agent_message("record"))["counts"]["forfeits"] == 1
+    counts = json.loads(agent.agent_message("record"))["counts"]
+    assert (counts["forfeits"], counts["repeated"]) == (1, 0)
+    assert counts["seconds"] >= 0.2
 
 
 def test_every_episode_is_verified_by_replay_of_its_actions(tmp_path: Path) -> None:
@@ -201,6 +210,16 @@ def status(code: int, text: str = "", **headers: str) -> Reply:
     return raw("\r\n".join([*lines, "", text]).encode())
 
 
+def echo(code: int) -> Reply:
+    """Return a reply that repeats the key, escaped as some libraries write JSON."""
+
+    def reply(body: dict[str, Any], handler: Handler) -> object:
+        key = handler.headers.get("Authorization", "").replace("/", "\\/")
+        return status(code, f'{{"error": "unknown: {key}"}}')(body, handler)
+
+    return reply
+
+
 BUSY: list[tuple[Reply, str]] = [
     (dripping, "has not answered within 0.3 s"),
     (raw(b""), "cannot be asked"),
@@ -208,16 +227,18 @@ BUSY: list[tuple[Reply, str]] = [
     (raw(b"HTTP/1.1 200 OK\r\n" + b"X: y\r\n" * 1000), "cannot be asked"),
     (status(429, "slow down"), "answered 429: slow down"),
     (status(503, "\x1b[2J"), r"answered 503: \?\[2J"),
+    (echo(503), r"unknown: Bearer \(the key\)"),
 ]
 FAILED: list[tuple[Reply, str]] = [
     (lambda body, handler: b" " * 2**21, "has sent more than 1,048,576 bytes"),
     (status(200, "x", **{"Content-Length": "99999999999"}), "cannot be asked|not with JSON"),
     (status(302, Location="http://192.0.2.1/"), "a redirection to http://192.0.2.1/, which is not followed"),
-    (status(401, "who are you?"), "answered 401, not with JSON: who are you?"),
+    (status(401, "who are you?"), "answered 401: who are you?"),
+    (echo(401), r'answered 401: {"error": "unknown: Bearer \(the key\)"}'),
+    (echo(200), r"no text at .*unknown: Bearer \(the key\)"),
     (lambda body, handler: b"<html>", "answered 200, not with JSON: <html>"),
     (lambda body, handler: b"[" * 200_000, "not with JSON"),
     (lambda body, handler: {"error": {"message": "no such model"}}, "no text at .*no such model"),
-    (lambda body, handler: said("x", tokens=(-1, 0)), "no text at"),
 ]
 
 
@@ -226,7 +247,7 @@ FAILED: list[tuple[Reply, str]] = [
 )
 def test_an_endpoint_that_nobody_can_trust_is_bounded_and_told_in_words(reply: Reply, message: str) -> None:
     with endpoint(reply) as url, pytest.raises(EndpointFailed, match=message) as failure:
-        read_reply(Endpoint(url, SECRET).post({"model": "m"}, 0.3 if reply is dripping else 20.0))
+        Endpoint(url, SECRET).post({"model": "m"}, 0.3 if reply is dripping else 20.0)
     assert SECRET not in str(failure.value)
     assert len(str(failure.value)) < 500
     with pytest.raises(EndpointFailed, match="cannot be asked: Connection refused"):
@@ -246,6 +267,15 @@ def test_another_try_is_made_where_it_may_help(busy: int, error: str | None) -> 
     assert len(list(replies)) == max(0, busy + 1 - 3)
 
 
+@pytest.mark.parametrize("path", ["", "/", "/chat/completions", "/chat/completions/"])
+def test_an_endpoint_is_given_by_its_base_or_its_whole_address(path: str) -> None:
+    def reply(body: dict[str, Any], handler: Handler) -> object:
+        return said(handler.path)
+
+    with endpoint(reply) as url:
+        assert Endpoint(f"{url}{path}").post({}, 20.0).text == "/v1/chat/completions"
+
+
 @pytest.mark.parametrize(
     "url",
     [
@@ -257,6 +287,12 @@ def test_what_is_no_address_of_an_endpoint_is_refused(url: str) -> None:
     with pytest.raises(ConfigError) as refusal:
         make_agent("chat", url=url, model="m")
     assert refusal.value.settings[0] == "url"
+
+
+@pytest.mark.parametrize("odd", [-1, 12.0, "7", True, 2**31, None, [3]])
+def test_what_is_no_number_of_tokens_counts_as_none(odd: Any) -> None:
+    assert read_reply(said("act: up", (odd, 4))) == ("act: up", 0, 4)
+    assert read_reply(said("act: up") | {"usage": odd}) == ("act: up", 0, 0)
 
 
 def test_a_key_is_sent_to_its_endpoint_and_shown_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -183,8 +183,25 @@ def test_legal_actions_time_and_steps_left_are_told_and_used_up_time_forfeits() 
     assert table.game.time_left == 6.0
     table.now += 7
     table.run(1)
-    assert table.game.look().data["forfeit"]
+    forfeit = table.game.look()
+    assert forfeit.data["forfeit"]
+    assert "its time is used up" in forfeit.text
+    assert "0 s left" in forfeit.text
+    assert table.game.counts.seconds == 11.0
     assert table.played[-1] == 0
+
+
+def test_a_choice_that_the_step_limit_cuts_off_is_not_asked_for() -> None:
+    table = Table(steps=4)
+    answer = table.act(1, "right*2")
+    assert (answer.data["steps_left"], answer.data["over"]) == (1, False)
+    table.game.act(2, ["right*5"])
+    table.run(1)
+    assert table.answer(2).data.items() > {"turn": 3, "steps": 3, "steps_left": 0, "over": True}.items()
+    table.run(1)  # stands still, and asks again, as the limit was another one
+    assert table.played == [1, 1, 1, 0]
+    assert table.game.next_action() is None
+    assert table.act(3, "right").data["steps"] == 5
 
 
 def test_raw_answers_are_kept_within_bounds(table: Table) -> None:

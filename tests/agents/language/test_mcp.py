@@ -9,13 +9,14 @@ from collections.abc import Awaitable, Callable
 from http.client import HTTPConnection
 from pathlib import Path
 from subprocess import PIPE, Popen
-from types import SimpleNamespace
+from threading import Barrier
 from typing import Any
 
 import anyio
 import pytest
 
 from agents.language import server
+from agents.language.game import Answer
 from agents.language.server import MCPAgent, make_server
 from env_server.toys import MinesEnvironment
 from glue.errors import ConfigError
@@ -30,6 +31,13 @@ mcp = pytest.importorskip("mcp", reason="needs the SDK: pip install 'glue-rl[mcp
 AGENT = str(Path(sys.executable).parent / "glue-agent")
 MODES = ["auto", "legacy"]
 WITH_SDK = "runs in the tests, where the SDK is installed"
+
+
+@pytest.fixture(autouse=True)
+def _first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the first agent of each test be that of a process which a client has started."""
+    monkeypatch.setattr(server, "_NEWEST", {})
+    monkeypatch.setattr(server, "_has_client", lambda: True)
 
 
 def talk(where: object, mode: str, *steps: Callable[[Any], Awaitable[None]]) -> None:
@@ -70,6 +78,9 @@ async def second_part(client: Any) -> None:
     assert "You are @" not in (await call(client, "look")).content[0].text
     given = await call(client, "give_up", turn=3)
     assert given.structured_content.items() > {"over": True, "forfeit": True}.items()
+
+
+async def last_part(client: Any) -> None:
     for tool, arguments in (("look", {}), ("act", {"turn": 4, "actions": ["up"]}), ("reset", {})):
         with pytest.raises(mcp.MCPError):
             await call(client, tool, **arguments)
@@ -83,6 +94,8 @@ def test_over_http_but_not_through_a_page_of_another_site(
     (url,) = (line.rpartition(" ")[2] for line in caplog.messages if "http://127.0.0.1:" in line)
     with session(agent, MinesEnvironment()):
         talk(url, mode, first_part, second_part)
+    agent.game.close()
+    talk(url, mode, last_part)
     port = int(url.split(":")[2].partition("/")[0])
     with pytest.raises(ConfigError, match="cannot serve at port"):
         MCPAgent(port=port)
@@ -91,6 +104,11 @@ def test_over_http_but_not_through_a_page_of_another_site(
         connection.request("POST", "/mcp", "{}", {"Content-Type": "application/json", name: value})
         assert connection.getresponse().status in (403, 421)
         connection.close()
+
+
+async def look_to_the_end(client: Any) -> None:
+    while True:
+        await call(client, "look")
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -112,7 +130,7 @@ def test_over_stdio_from_the_first_call_to_the_last(mode: str, tmp_path: Path) -
         assert (await call(client, "give_up", turn=2)).structured_content["over"]
         assert started[0].wait(60) == 0
         with pytest.raises(mcp.MCPError, match="the session has ended"):
-            await call(client, "look")
+            await look_to_the_end(client)
 
     talk(lambda: mcp.stdio_client(command), mode, whole)
     assert forked.run("glue-replay", "--check", "run.traj", cwd=tmp_path).returncode == 0
@@ -127,10 +145,23 @@ def test_a_signal_ends_it_while_its_client_stays(tmp_path: Path) -> None:
         assert agent.wait(60) == 143
 
 
-def test_stdio_serves_one_session(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("threading.enumerate", lambda: [SimpleNamespace(name=server._STDIO)])
-    with pytest.raises(ConfigError, match="one session"):
-        MCPAgent()
+def test_many_calls_wait_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    together = Barrier(60, timeout=60)
+
+    def wait(agent: object, tool: str, arguments: object) -> Answer:
+        together.wait()
+        return Answer("", {})
+
+    monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
+    monkeypatch.setattr(server, "play", wait)
+
+    async def looks(client: Any) -> None:
+        async with anyio.create_task_group() as tasks:
+            for _ in range(60):
+                tasks.start_soon(call, client, "look")
+
+    talk(make_server(MCPAgent()), "auto", looks)
+    assert not together.broken
 
 
 def test_mario_is_shown_as_an_image_on_request(monkeypatch: pytest.MonkeyPatch) -> None:

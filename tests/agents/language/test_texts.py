@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from agents.language.texts import IllegalChoice, Texts
@@ -48,6 +50,16 @@ def test_words_of_another_environment_of_that_name_are_not_used() -> None:
     texts = made(f"{GRID} mines of ours")
     assert [*texts.names] == ["1 -1", "1 0", "1 1", "2 -1", "2 0", "2 1"]
     assert "The environment says of itself: mines of ours" in texts.rules
+    for spec, seen in ((MinesEnvironment().env_init(), 499), (SkeletonEnvironment().env_init(), 21)):
+        larger = made(re.sub(r"(?<=OBSERVATIONS INTS \(0 )\d+", str(seen), spec) + " of ours")
+        assert larger.seen(Observation([seen])) == str(seen)
+        assert "You are @" not in larger.rules
+        assert "0" in larger.names
+
+
+def test_a_picture_that_fails_leaves_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agents.language.texts.find_picture", lambda spec: lambda seen, color: [][0])
+    assert made(GRID).seen(Observation([3])) == "3"
 
 
 def test_actions_have_names_numbers_and_repeats() -> None:

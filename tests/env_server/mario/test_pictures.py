@@ -136,9 +136,29 @@ def test_what_the_characters_stand_for(file: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("pipe", "codes"),
+    [
+        (["-tt-", "-tg-", "-t#-", "-tt-"], [[10, 11], [26, 0], [26, 9], [26, 11]]),
+        (["-Tt-", "-gt-", "-tt-"], [[10, 11], [0, 27], [10, 27]]),
+        (["-gT-", "-tt-"], [[0, 11], [10, 27]]),
+        (["ttg-", "tttF", "tttt"], [[11, 0], [27, 10], [27, 26]]),
+        (["gttt", "tttt"], [[11, 10], [27, 26]]),
+        (["-T>-", "-[g-"], [[10, 11], [26, 0]]),
+    ],
+)
+def test_half_of_a_pipe_is_that_of_the_pipe_in_its_columns(
+    pipe: list[str], codes: list[list[int]], file: Path
+) -> None:
+    """Monsters, blocks and the goal of generated levels replace parts of pipes."""
+    level = level_of(file, "\n".join(f"-----{row}{'-' * 11}" for row in pipe))
+    assert level.tiles[6:8, ROWS - len(pipe) : ROWS].T.tolist() == codes
+
+
+@pytest.mark.parametrize(
     ("text", "line", "column", "expected"),
     [
         ("", 1, 1, "expected a picture of 20 to 2050 columns, not 0"),
+        (f"{' ' * 20}\n{PLAIN}", 1, 1, "not 0: this line is blank, and an empty cell is -"),
         ("-" * 2051, 1, 2052, "expected a picture of 20 to 2050 columns, not 2051"),
         (f"{PLAIN}XX", 3, 3, "expected 20 columns, not 2"),
         (f"{PLAIN}{'-' * 21}", 3, 21, "expected 20 columns, not 21"),
@@ -149,6 +169,10 @@ def test_what_the_characters_stand_for(file: Path) -> None:
         (PLAIN + "XB" + "X" * 18, 3, 2, "B is a cannon, and the competition of 2009 had none"),
         (PLAIN + "1" + "X" * 19, 3, 1, "a hidden mushroom that gives a life"),
         (PLAIN + "ttt" + "X" * 17, 3, 3, "expected pipes of two columns, and this is half of one"),
+        (f"t{'-' * 19}\n" * 3, 1, 1, "this is half of one"),
+        (f"tt{'-' * 18}\nttt{'-' * 17}\n-tt{'-' * 17}", 2, 3, "this is half of one"),
+        (f"{PLAIN}-<{'-' * 18}\n-[{'-' * 18}", 3, 2, "this is half of one"),
+        (f"{PLAIN}->{'-' * 18}", 3, 2, "this is half of one"),
         (PLAIN + "-" * 10 + "M" + "-" * 9, 3, 11, "expected M in the first 8 columns"),
         (PLAIN + "FF" + "-" * 18, 3, 2, "expected one F"),
         (f"{PLAIN}\ntype 3", 4, 1, "expected type 0, 1 or 2, or COLUMN ROW CHARACTER, not 'type 3'"),

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from env_server.mario.environment import InfiniteMario
+from env_server.mario.pictures import digest_of
 from env_server.replay.episodes import (
     Difference,
     Digest,
@@ -302,6 +303,14 @@ def test_recording_can_only_name_installed_environments(tmp_path: Path, name: st
     with pytest.raises(NotInstalled) as refused:
         replay(write_run(tmp_path / "a", Run(name, {}, "")))
     assert refused.value.name == name
+
+
+def test_a_recording_does_not_choose_which_file_is_read(tmp_path: Path) -> None:
+    level = tmp_path / "level.txt"
+    level.write_text("X" * 20)
+    with pytest.raises(ConfigError, match="a file as level, but not its SHA-256"):
+        build_environment(Run("mario", {"level": str(level)}, ""))
+    build_environment(Run("mario", {"level": str(level), "level_digest": digest_of(level)}, ""))
 
 
 @pytest.mark.parametrize(

@@ -257,9 +257,12 @@ def test_export_writes_through_links_and_to_devices_without_replacing_them(run: 
     assert (tmp_path / "target").read_text() == call("export", run)
     os.mkfifo(tmp_path / "pipe")
     reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    call("export", run, "--out", tmp_path / "pipe")
-    assert os.read(reader, 1 << 16).decode() == call("export", run)
-    os.close(reader)
+    nameless = os.pipe()
+    for pipe, reading in ((tmp_path / "pipe", reader), (Path(f"/dev/fd/{nameless[1]}"), nameless[0])):
+        call("export", run, "--out", pipe)
+        assert os.read(reading, 1 << 16).decode() == call("export", run)
+    for descriptor in (reader, *nameless):
+        os.close(descriptor)
     assert (tmp_path / "pipe").is_fifo()
 
 
@@ -500,6 +503,15 @@ def test_plot_of_what_there_is_not_is_refused(run: Path, tmp_path: Path, wrong: 
     refused = draw(run, tmp_path / "out.svg", wrong).exception
     assert isinstance(refused, ConfigError | UsageError)  # the exit code is 2
     assert why in str(refused)
+
+
+@pytest.mark.parametrize("form", ["", "--kind=scatter --out=x.svg", "--over=steps --out=x.svg"])
+def test_plot_of_what_no_episode_has_is_refused(tmp_path: Path, form: str) -> None:
+    with open_run(tmp_path / "run", PLAN) as store:
+        store.record(TRIALS[0], result(0, 1)._replace(late=math.nan))
+    command = [str(tmp_path / "run"), "--y=late", *form.split()]
+    with pytest.raises(ExperimentError, match="nothing to draw: no episode has a value of late"):
+        CliRunner().invoke(plot, command, standalone_mode=False, catch_exceptions=False)
 
 
 def test_the_list_of_subcommands_has_the_first_sentence_of_each() -> None:

@@ -51,24 +51,37 @@ class Walker(Agent):
 
 
 class Watched(MinesEnvironment):
-    """Mines that says how many steps it has left until the agent answers, at most."""
+    """Mines that says how many steps it has made, and whether its episode is over."""
 
-    left = 0
+    made = 0
+    over = False
+
+    def env_init(self) -> str:
+        Watched.made = 0
+        return super().env_init()
+
+    def env_start(self) -> Observation:
+        Watched.over = False
+        return super().env_start()
 
     def env_step(self, action: Action) -> Step:
         step = super().env_step(action)
-        Watched.left = 0 if step.terminal else Watched.left - 1
+        Watched.over = step.terminal
+        Watched.made += 1
         return step
 
 
 class Dawdler(Walker):
-    """Gives some answers only when the environment has made three steps without it, or the last."""
+    """Gives some answers only when the environment has made three steps without it, or its last."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self.most = most  # steps of the task
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
-        if self.steps < 20 and self.steps % 4 == 2:  # not at the end, when there are no more steps
-            Watched.left = 3
-            while Watched.left > 0:
-                time.sleep(0.001)
+        until = min(Watched.made + 3, self.most)
+        while self.steps % 4 == 2 and not Watched.over and Watched.made < until:
+            time.sleep(0.001)
         return self.act()
 
 

@@ -16,12 +16,14 @@ from experiment_runner.competition.course import Course
 from experiment_runner.competition.organiser import Held, open_competition
 from experiment_runner.competition.season.acts import addition, answering
 from experiment_runner.competition.season.control import Door, ask
-from experiment_runner.competition.settings import parse_competition
+from experiment_runner.competition.settings import Gate, parse_competition
 from experiment_runner.executors.dispatcher import Dispatcher
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.store.results import Results
+from glue.client.libzmq import new_pair
 from glue.errors import ExperimentError
-from tests.experiment_runner.competition.season.inside import SECRET, Season
+from glue.keys.certificates import write_pair
+from tests.experiment_runner.competition.season.inside import SECRET, Absent, Season
 
 FILE = """\
 name = "spring"
@@ -41,7 +43,8 @@ class Run(Season):
             open_competition(self.directory, self.text, self.competition, SECRET)
         )
         self.said.clear()
-        self.held = self.stack.enter_context(Held(store, self.competition, SECRET, self.said.append, None))
+        gate = Gate("tcp://127.0.0.1:4097", self.folder / "keys")
+        self.held = self.stack.enter_context(Held(store, self.competition, SECRET, self.said.append, gate))
         self.visit = answering(self.stack.enter_context(Door(self.directory)))
         interrupts = self.stack.enter_context(Interrupts())
         self.dispatcher = Dispatcher(self.executor, self.held, interrupts)
@@ -90,6 +93,27 @@ def test_who_is_excluded_while_it_plays_is_ended_at_once(run: Run) -> None:
     run.organise("readmit", subject="alice")
     assert not run.goes_on()
     assert run.counts() == {"alice": 2, "bob": 2}
+
+
+def test_who_is_absent_is_waited_for_once_more_after_the_others(tmp_path: Path) -> None:
+    text = FILE.replace("trials = 2", "trials = 5")
+    for name in ("alice", "bob"):
+        write_pair(tmp_path, name, new_pair())
+        text = text.replace(f'{name}.command = ["true"]', f'{name}.key = "{name}.key"')
+    run = Run(tmp_path, text)
+    with run.stack:
+        run.executor.agents["alice"] = Absent
+        for _ in range(6):
+            run.dispatcher.turn(0)
+        assert run.executor.played == [
+            f"{one}/mines/{n}" for n in range(5) for one in ("alice", "bob")[n > 0 :]
+        ]
+        del run.executor.agents["alice"]
+        run.dispatcher.turn(0)
+        run.executor.agents["alice"] = Absent
+        assert not run.goes_on()
+        assert run.counts() == {"alice": 5, "bob": 5}
+        assert run.executor.awaited == [f"alice/mines/{n}" for n in (0, 2, 3)]
 
 
 def test_what_is_played_again_is_played_at_once_and_counts(run: Run) -> None:

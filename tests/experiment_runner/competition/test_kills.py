@@ -7,7 +7,6 @@ import random
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from subprocess import DEVNULL
 
@@ -15,7 +14,7 @@ import pytest
 
 from tests.experiment_runner.competition.contest import compete
 from tests.proof import size
-from tests.system.runs import alive, children, wait_until
+from tests.system.runs import kill
 
 KILLS = size(4, 20)
 """Number of kills of the organiser."""
@@ -53,24 +52,17 @@ def test_an_organiser_that_is_killed_comes_to_the_same_standings(tmp_path: Path)
     command = ("run", "spring.toml", "--workers", "2", "--out")
     compete(tmp_path, *command, "undisturbed")
     chance = random.Random(4)
-    for kill in range(KILLS):
-        killed = [*COMPETE, *command, run_of(kill)]
+    for number in range(KILLS):
+        killed = [*COMPETE, *command, run_of(number)]
         organiser = subprocess.Popen(killed, cwd=tmp_path, stdout=DEVNULL, stderr=DEVNULL)
         time.sleep(chance.uniform(0, LONGEST_LIFE))
-        everybody = children(organiser.pid)
-        organiser.kill()
-        organiser.wait()
-        wait_until(partial(none_alive, everybody), "the end of its processes")
+        kill(organiser)
     expected = standings(tmp_path, "undisturbed")
-    for out in sorted({run_of(kill) for kill in range(KILLS)}):
+    for out in sorted({run_of(number) for number in range(KILLS)}):
         compete(tmp_path, *command, out)
         assert standings(tmp_path, out) == expected
 
 
-def run_of(kill: int) -> str:
+def run_of(number: int) -> str:
     """Return the name of the run to kill: each run gets a few kills, early, midway and late."""
-    return f"killed-{kill // 5}"
-
-
-def none_alive(processes: list[int]) -> bool:
-    return not any(map(alive, processes))
+    return f"killed-{number // 5}"

@@ -45,7 +45,7 @@ def test_a_task_of_steps_is_played_to_its_last_step(tmp_path: Path) -> None:
 
 def test_what_a_late_agent_did_not_choose_is_recorded_as_it_was_carried_out(tmp_path: Path) -> None:
     watched = f"{Watched.__module__}:{Watched.__name__}"
-    reports = reports_of(Dawdler(), tmp_path, steps=60, env=watched, rate=200.0)
+    reports = reports_of(Dawdler(60), tmp_path, steps=60, env=watched, rate=200.0)
     assert not reports.forfeit
     recorded = reports.episodes(tmp_path)
     results = reports.results

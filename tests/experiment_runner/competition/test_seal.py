@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from experiment_runner.competition.course import course_of
 from experiment_runner.competition.records import journal, seal
 from experiment_runner.competition.records.journal import ANNOUNCE, EVERYBODY, act
 from experiment_runner.competition.records.verify import verify
@@ -61,9 +62,9 @@ def store(tmp_path: Path) -> Iterator[Store]:
         yield made
 
 
-def update(store: Store, statement: str) -> None:
+def update(store: Store, statement: str, *values: object) -> None:
     with closing(sqlite3.connect(store.directory / "results.sqlite")) as database, database:
-        assert database.execute(statement).rowcount == 1
+        assert database.execute(statement, values).rowcount == 1
 
 
 EDITS: dict[str, tuple[str, Callable[[Store], None]]] = {
@@ -145,23 +146,37 @@ def test_a_signature_is_of_the_newest_digests_alone(earlier: bool, store: Store)
         seal.check_signature(store.directory, pair.public)
 
 
+OTHER = "has another environment or length than its task"
+
+
 @pytest.mark.parametrize(
-    ("trial", "why"),
+    ("column", "value", "why"),
     [
-        ("../../ann/walk/0", "is not the id of"),
-        ("/ann/walk/0", "is not the id of"),
-        ("../walk/0", "is not the id of"),
-        ("ann/other/0", "is of a task that"),
-        ("ann", "is not the id of"),
+        ("id", "../../ann/walk/0", "is not the id of"),
+        ("id", "/ann/walk/0", "is not the id of"),
+        ("id", "../walk/0", "is not the id of"),
+        ("id", "ann/other/0", "is of a task that"),
+        ("id", "ann", "is not the id of"),
+        ("episodes", 10**12, OTHER),
+        ("max_steps", 7, OTHER),
+        ("steps", 10**12, OTHER),
+        ("environment", '{"name":"mines","options":{},"label":"walk"}', OTHER),
+        ("environment", None, OTHER),
     ],
 )
-def test_a_trial_with_an_id_that_none_has_leads_nowhere(trial: str, why: str, store: Store) -> None:
-    directory = store.directory
-    update(store, f"UPDATE trials SET id = '{trial}'")
-    (directory / SEAL_FILE).unlink()
-    seal.seal(store)
-    with pytest.raises(ExperimentError, match=why):
+def test_a_trial_that_the_competition_does_not_have_leads_nowhere(
+    column: str, value: object, why: str, store: Store
+) -> None:
+    """Verification would play it, however long."""
+
+    def check() -> None:
+        course_of(store.directory).check_trials(record.spec for record in store.trials())
         verify(store, {"walk": 0}, lambda line: None)
+
+    check()
+    update(store, f"UPDATE trials SET {column} = ?", value)
+    with pytest.raises(ExperimentError, match=why):
+        check()
 
 
 def test_a_bundle_holds_no_file_that_a_run_only_names(store: Store) -> None:

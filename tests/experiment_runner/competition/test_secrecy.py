@@ -6,6 +6,7 @@ import struct
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -17,6 +18,7 @@ from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.trials import trials
 from experiment_runner.executors.job import Ended
 from glue.engine.engine import role_seed
+from glue.hub.config import HubConfig
 from glue.options import Option
 from glue.types import Action, Observation, Step
 from glue.wire.codec import FROM_HUB, TO_HUB, decode
@@ -134,7 +136,9 @@ class Raw(Thread):
 
 
 @pytest.fixture
-def heard() -> Iterator[list[str]]:
+def heard(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    patient = partial(HubConfig, greeting=60.0)  # the entrant connects only once
+    monkeypatch.setattr("experiment_runner.competition.match.HubConfig", patient)
     Listening.heard.clear()
     yield Listening.heard
     Listening.heard.clear()

@@ -18,7 +18,7 @@ from experiment_runner.cli.results import results as results_command
 from experiment_runner.executors.recording import Extras, Meter
 from experiment_runner.plan.file import dump_plan, parse_plan
 from experiment_runner.plan.limits import REMOTE, TrialId
-from experiment_runner.plan.metrics import SUMMARIES, MetricsPlan, Summary
+from experiment_runner.plan.metrics import SUMMARIES, MetricsPlan, Summary, check_extras
 from experiment_runner.plan.plan import RoleSpec, TrialSpec, differences
 from experiment_runner.plan.toml import SettingError
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult
@@ -46,7 +46,7 @@ class Climbing(Environment):
     def env_start(self) -> Observation:
         self._episode = (self._episode + 1) % len(HEIGHTS)
         self._step = 0
-        return Observation([0], extras={"steps": 0})
+        return Observation([0], extras={"steps": 0, "extra.steps": 7})
 
     def env_step(self, action: Action) -> Step:
         heights = HEIGHTS[self._episode]
@@ -119,7 +119,7 @@ def test_what_is_no_number_cannot_be_a_metric(value: Any) -> None:
     [
         ("mario", "mario.coins", "mario.coins"),
         ("hard", "mario.coins", "hard.mario.coins"),
-        (REMOTE, "mario.coins", "remote.coins"),
+        (REMOTE, "mario.coins", "remote.mario.coins"),
         (REMOTE, "coins", "remote.coins"),
     ],
 )
@@ -128,6 +128,31 @@ def test_an_environment_may_put_its_name_before_an_extras(label: str, name: str,
     extras = Extras({"mario.coins": "last"}, label)
     extras.see(Observation(extras={name: 3}))
     assert extras.numbers() == {stored: 3.0}
+    assert [*extras.missing()] == []
+
+
+TWO = {"left.speed": 1, "right.speed": 3}
+
+
+@pytest.mark.parametrize(
+    ("label", "sent", "keys", "stored"),
+    [
+        (REMOTE, TWO, ["left.speed"], {"remote.left.speed": 1}),
+        (REMOTE, TWO, ["right.speed", "left.speed"], {"remote.right.speed": 3, "remote.left.speed": 1}),
+        (REMOTE, {"speed": 2}, ["left.speed", "speed"], {"remote.speed": 2}),
+        (REMOTE, {"speed": 2}, ["left.speed", "right.speed"], {}),
+        ("col", {"steps": 1, "col.steps": 3}, ["steps"], {"col.steps": 1}),
+        ("col", {"steps": 1, "col.steps": 3}, ["col.col.steps"], {"col.col.steps": 3}),
+    ],
+)
+def test_extras_whose_names_end_alike_are_not_mixed(
+    label: str, sent: dict[str, int], keys: list[str], stored: dict[str, int]
+) -> None:
+    check_extras(keys, [label])
+    extras = Extras(dict.fromkeys(keys, "mean"), label)
+    extras.see(Observation(extras=sent))
+    assert extras.numbers() == stored
+    assert len([*extras.missing()]) == len(keys) - len(stored)
 
 
 def test_an_attempt_that_became_void_leaves_nothing() -> None:
@@ -156,14 +181,16 @@ def measured(out: Path, *metrics: str) -> Result:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    measured(tmp_path / "run", "Climbing.height=max", "steps=sum")
+    measured(tmp_path / "run", "Climbing.height=max", "steps=sum", "extra.steps=first")
     return tmp_path / "run"
 
 
 def test_a_run_has_a_column_for_each_extra(run: Path) -> None:
     data = load_run(run)
     columns = [*data]
-    assert columns[columns.index("extra.steps") :][:3] == ["extra.steps", "height", "seed"]
+    after = columns.index("extra.extra.steps")
+    assert columns[after:][:4] == ["extra.extra.steps", "extra.steps", "height", "seed"]
+    assert data["extra.extra.steps"].tolist() == [7.0] * 4
     assert data["height"].tolist() == [5.0, 4.0, 5.0, 4.0]
     assert data["extra.steps"].tolist() == [6.0, 3.0, 6.0, 3.0]
     with Results.open(run) as results:
@@ -208,7 +235,7 @@ def test_a_plan_has_a_table_of_extras() -> None:
 
 @pytest.mark.parametrize(
     ("environments", "key", "label"),
-    [("", "any.score", REMOTE), ('[environments.mines]\nclass = "mines"\n', "mines.score", "mines")],
+    [("", "remote.score", REMOTE), ('[environments.mines]\nclass = "mines"\n', "mines.score", "mines")],
 )
 def test_one_number_is_recorded_of_an_extra(environments: str, key: str, label: str) -> None:
     plan = f'episodes = 1\n{environments}[extras]\nscore = "mean"\n{key} = "max"\n'

@@ -131,6 +131,24 @@ def test_changed_file_is_named_and_the_run_left_as_it_is(tmp_path: Path) -> None
     assert not directory.exists()
 
 
+def test_a_run_goes_on_with_the_file_that_its_option_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From another folder, the same name is another file, or none."""
+    plan, directory = Plan(episodes=1, agents=(RoleSweep("sarsa", {"policy": "data.txt"}),)), tmp_path / "run"
+    for folder, text in (("begun", "5"), ("copied", "5"), ("other", "2"), ("without", None)):
+        (tmp_path / folder).mkdir()
+        if text is not None:
+            (tmp_path / folder / "data.txt").write_text(text)
+    for folder in ("begun", "begun", "copied"):
+        monkeypatch.chdir(tmp_path / folder)
+        open_run(directory, plan).close()
+    for folder in ("other", "without"):
+        monkeypatch.chdir(tmp_path / folder)
+        with pytest.raises(DirectoryTaken, match=r"begun/data\.txt is not what its option names"):
+            open_run(directory, plan)
+
+
 def test_a_run_on_the_level_of_a_file_is_of_that_file(tmp_path: Path) -> None:
     level, directory = tmp_path / "level.txt", tmp_path / "run"
     level.write_text("X" * 20)

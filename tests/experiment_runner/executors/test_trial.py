@@ -34,8 +34,10 @@ from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Reading
 from glue import Action, Agent, Environment, Experiment, GlueError, PeerLost, Step, local
 from glue.engine.local import LocalExperiment
+from glue.pace import Pace
 from glue.trajectory import TrajectoryWriter
 from glue.wire.messages import Kind
+from tests.hubs import over_the_hub
 
 MINES = RoleSpec("mines", {"random_start": True})
 SPEC = TrialSpec(TrialId("sarsa/mines/0"), RoleSpec("sarsa"), MINES, episodes=25, max_steps=40, seed=5)
@@ -151,6 +153,20 @@ def test_every_episode_is_recorded_with_the_checkpoints_that_are_due() -> None:
     assert not kept.events
     assert any(result.terminal for result in kept.results)
     assert all(result.steps <= 40 for result in kept.results)
+
+
+@pytest.mark.parametrize(
+    ("planned", "kept_at"),
+    [(Pace(), [1, 2, 3, 4]), (Pace(rate=10.0), [1, 2, 3, 4]), (Pace(delay=1), [3, 4])],
+)
+@pytest.mark.parametrize("glue", [local, over_the_hub])
+def test_what_may_depend_on_a_clock_has_a_checkpoint_after_each_episode(
+    glue: Callable[..., Any], planned: Pace, kept_at: list[int]
+) -> None:
+    """Also where no plan has a pace, but the running hub has."""
+    spec = replace(SPEC, episodes=4, pace=planned)
+    with glue(SarsaAgent(), mines(), pace=Pace(delay=1)) as paced:
+        assert list(play(paced, 3, spec=spec).checkpoints) == kept_at
 
 
 @pytest.mark.parametrize("after", [10, 20])

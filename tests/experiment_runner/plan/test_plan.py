@@ -161,7 +161,9 @@ def test_dumped_plan_reads_back_equal(
     [
         ("episodes = 1\ntrials: 2", "not TOML: .*line 2"),
         ("episodes = 1\nx = " + "[" * 100_000, "nested too deeply"),
-        (f"episodes = 1\n[agents{'.a' * 3_000}]", "nested too deeply|option a of a takes a number"),
+        (f"episodes = 1\n[agents{'.a' * 16}]", "option a of a takes a number"),
+        (f"episodes = 1\n[agents{'.a' * 50_000}]", "nested too deeply"),
+        (f"""x = ["\""\\"\""\"", {{a{".a" * 50_000} = 1}}] # ".\"""", "nested too deeply"),
         (f"episodes = {'9' * 5_000}", "not TOML"),
         ("trials = 3", "number of episodes"),
         ("episodes = 5\nepisode = 5", "line 2: .*no 'episode'; did you mean episodes"),

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import itertools
 import os
+import queue
 import signal
 import threading
 from pathlib import Path
@@ -35,3 +37,19 @@ def test_player_that_cannot_be_restarted_is_given_up(tmp_path: Path, monkeypatch
         assert given_up.wait(60)
     assert "agent Lazy cannot be restarted" in reasons[0]
     assert "no such program" in reasons[0] or "No such file" in reasons[0]
+
+
+def test_a_child_that_exits_is_restarted_if_it_has_a_time_to_rest() -> None:
+    said: queue.Queue[str] = queue.Queue()
+    with KeptAlive(
+        "page",
+        "http.server",
+        ["--no-such-option"],
+        say=said.put,
+        progress=itertools.count().__next__,
+        give_up=said.put,
+        dismissed=False,
+        rest=0.01,
+    ):
+        for _ in range(2):
+            assert said.get(timeout=60) == "the page ended with status 2; it is being restarted"

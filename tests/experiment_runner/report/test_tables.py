@@ -166,13 +166,21 @@ def test_summary_of_nothing_has_no_mean(store: Store) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "mean"),
-    [((1.0, math.nan), math.nan), ((1.0, math.inf), math.inf), ((-math.inf, math.inf), math.nan)],
+    ("values", "mean", "shown"),
+    [
+        ((1.0, math.nan), math.nan, "nan"),
+        ((1.0, math.inf), math.inf, "inf"),
+        ((-math.inf, math.inf), math.nan, "nan"),
+        ((9e14,), 9e14, "900000000000000.00"),
+        ((-1e300, -1e300), -1e300, "-1e+300"),
+    ],
 )
-def test_unusual_returns_show_in_the_means(store: Store, values: tuple[float, ...], mean: float) -> None:
+def test_unusual_returns_show_in_the_means(
+    store: Store, values: tuple[float, ...], mean: float, shown: str
+) -> None:
     record(store, FIRST, *values)
     assert summarize(store, 0.0)["mean_return"] == pytest.approx(mean, nan_ok=True)
-    assert tabulate(store, 0.0).splitlines()[1].split()[3] == f"{mean:.2f}"
+    assert tabulate(store, 0.0).splitlines()[1].split()[3] == shown
 
 
 def test_memory_does_not_grow_with_the_episodes(store: Store) -> None:

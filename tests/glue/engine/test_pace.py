@@ -219,12 +219,24 @@ def test_an_agent_has_half_a_period_even_if_the_environment_is_behind() -> None:
 @pytest.mark.parametrize(
     ("wrong", "why"),
     [
-        *(({"rate": rate}, "a rate is from 0") for rate in (-1.0, 2000.0, float("nan"))),
-        ({"delay": -1}, "a delay is from 0"),
+        *(({"rate": rate}, "a rate is from 0") for rate in (-1.0, 2000.0, float("nan"), "5", None)),
+        *(({"delay": delay}, "a delay is from 0") for delay in (-1, 1.5, "2")),
         ({"rate": -1.0, "late": "1"}, "a rate is from 0"),
         *(
             ({"rate": 1.0, "late": late}, r"late is `repeat`, or the numbers of an action, as in 0,1,0")
-            for late in ("", "now", "1,", "1 2", "3000000000", "nan", "1e5")
+            for late in (
+                "",
+                "now",
+                "1,",
+                "1 2",
+                "3000000000",
+                "nan",
+                "1e5",
+                "1_0",
+                "-2147483649",
+                [0, 1],
+                b"1",
+            )
         ),
         ({"late": "1"}, "give a rate or a delay, too"),
     ],
@@ -237,4 +249,5 @@ def test_what_is_no_pace_is_refused(wrong: dict[str, Any], why: str) -> None:
 def test_a_late_action_has_whole_numbers_and_decimals() -> None:
     assert Pace(rate=1.0, late="0,1").action == Action([0, 1])
     assert Pace(rate=1.0, late="-2,0.5,-1.0").action == Action([-2], [0.5, -1.0])
+    assert Pace(rate=1.0, late="-2147483648").action == Action([-(2**31)])
     assert Pace(rate=1.0).action is None

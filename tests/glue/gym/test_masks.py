@@ -83,11 +83,14 @@ def test_a_mask_has_one_form_there_and_another_here(name: str) -> None:
         ("MultiDiscrete", 7),
         ("MultiBinary", np.array([0, 3, 1], np.int8)),
         ("nested", {"a": ONES}),
+        ("Discrete", [[0, 1], [1]]),
+        ("MultiDiscrete", ([0, [1]], ONES)),
+        ("Box of floats", ONES),
     ],
 )
 def test_what_is_no_mask_of_the_space_is_refused(name: str, mask: Any) -> None:
     with pytest.raises(SimulatorError, match=r"no mask of|expected a dict"):
-        MaskCodec(SPACES[name][0]).pack(mask)
+        MaskCodec(SPACES[name][0] if name in SPACES else spaces.Box(0, 1, (2,))).pack(mask)
 
 
 class Watching(RandomAgent):
@@ -170,6 +173,19 @@ def test_a_wrapped_environment_has_masks_and_extras_in_its_infos() -> None:
     env.close()
 
 
+def test_extras_with_names_of_gymnasiums_own_are_called_otherwise() -> None:
+    class Named(Counting):
+        def _shown(self) -> Observation:
+            return Observation([0], extras={"action_mask": 7, "episode": 8})
+
+    env = gymnasium.wrappers.RecordEpisodeStatistics(glue.gym.wrap(Named(1)))
+    env.reset()
+    *_, info = env.step(np.array([0, 0]))
+    assert (info["extra.action_mask"], info["extra.episode"], info["episode"]["r"]) == (7, 8, 1.0)
+    assert plain(info["action_mask"]) == ([1, 1], [1, 1, 1])
+    env.close()
+
+
 def test_an_environment_without_masks_says_so() -> None:
     env = glue.gym.wrap(make("skeleton"))
     assert env.reset()[1] == {}
@@ -205,6 +221,7 @@ class Counting(Environment):
             "step": self._step,
             "name": f"of {self._length}",
             "path": [*range(self._step)],
+            "share": 1 if self._length == 2 else 0.5,
         }
         if self._step == self._length:
             extras["last"] = float(self._length)
@@ -228,6 +245,7 @@ def test_many_sessions_have_masks_and_extras_in_vector_form(mode: str) -> None:
     first, second, third = found
     assert first["step"].tolist() == [1, 1]
     assert first["name"].tolist() == ["of 2", "of 3"]
+    assert first["share"].tolist() == [1.0, 0.5]  # as a program in JavaScript sends it: 1 and 0.5
     assert "last" not in first
     if mode == "SameStep":
         assert second["step"].tolist() == [0, 2]

@@ -19,6 +19,7 @@ from glue.engine.experiment import Experiment
 from glue.errors import ConfigError, PeerFailed, SimulatorError
 from glue.global_seeds import globals_restored
 from glue.options import parameters
+from glue.pace import Pace
 from glue.plugins.loading import construct, find, without_seed
 from glue.roles import capabilities
 from glue.taskspec import parse_task_spec
@@ -176,6 +177,13 @@ def test_a_session_whose_task_gymnasium_cannot_read_is_left(monkeypatch: pytest.
             with pytest.raises(ConfigError, match="cannot be read") as failure:
                 glue.gym.connect(hub, wait=60)
             failures.append(failure)  # which would keep what was not closed
+
+
+def test_a_hub_that_does_not_wait_is_refused() -> None:
+    with hub_with(make("skeleton"), pace=Pace(delay=1)) as hub:
+        for _ in range(2):  # the session was left
+            with pytest.raises(ConfigError, match="the hub has a rate or a delay"):
+                glue.gym.connect(hub, wait=60)
 
 
 def test_check_env_passes_for_an_environment_behind_a_hub() -> None:

@@ -69,13 +69,6 @@ def test_a_verbose_hub_logs_every_connection() -> None:
     assert sum(line.endswith("connected") for line in said("--verbose")) >= 2
 
 
-def test_quiet_and_verbose_exclude_each_other() -> None:
-    with running("-c", PROGRAM, "--quiet", "--verbose") as hub:
-        _, text = hub.communicate(timeout=TIMEOUT)
-    assert hub.returncode == 2
-    assert "--quiet and --verbose" in text
-
-
 @pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="needs the pipes of Linux")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_hub_whose_full_log_is_not_read_can_be_stopped(number: signal.Signals) -> None:

@@ -111,11 +111,11 @@ def test_an_experiment_with_the_capability_is_told_how_many_actions_were_late(
 def test_a_welcome_confirms_the_pace_to_experiments_where_there_is_one() -> None:
     for pace, confirmed in ((Pace(rate=10.0), [(("mask", "pace"),)]), (Pace(), [(("mask",),)])):
         rig: Rig = Rig(HubConfig(pace=pace))
-        rig.hello("a", Role.AGENT)
         (welcome,) = rig.hello("x", Role.EXPERIMENT, abilities=("mask", "pace"))[:1]
         assert [welcome.scalars[5:]] == confirmed
-        (welcome,) = rig.hello("b", Role.AGENT, session="t", abilities=("mask", "pace"))[:1]
-        assert welcome.scalars[5:] == (("mask",),)
+        for role in (Role.OBSERVER, Role.AGENT):
+            (welcome,) = rig.hello(role, role, abilities=("mask", "pace"))[:1]
+            assert welcome.scalars[5:] == (("mask",),)
 
 
 def test_an_episode_that_ends_while_the_agent_is_late_waits_for_its_answer() -> None:

@@ -14,7 +14,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -24,6 +24,7 @@ import gymnasium
 import numpy as np
 import pytest
 import uvicorn
+from click.testing import CliRunner
 from gymnasium import spaces
 from openenv.core.env_server.http_server import create_fastapi_app
 from openenv.core.env_server.interfaces import Environment as OpenEnvironment
@@ -38,12 +39,15 @@ from websockets.sync.server import serve as serve_websockets
 
 import glue
 import glue.gym
+from env_server.cli.environment import environment as glue_env
+from env_server.mario.environment import InfiniteMario
 from glue.errors import ConfigError, SimulatorError
 from glue.gym.served import GymnasiumEnvironment
 from glue.openenv.serving import _idle_bounded, application, serve
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Step
 from tests.pages import DOCS, follow
+from tests.players import ScriptedEnvironment
 
 
 class EchoAction(OpenAction):  # type: ignore[misc]
@@ -107,7 +111,7 @@ def echo() -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def mines() -> Iterator[str]:
-    with served(application(lambda: glue.make("mines"), "mines")) as url:
+    with served(application(lambda: glue.make("mines", masks=True), "mines")) as url:
         yield url
 
 
@@ -218,6 +222,19 @@ def test_schema_that_drips_is_not_waited_for() -> None:
             glue.make(f"openenv:http://127.0.0.1:{listening.getsockname()[1]}", timeout=0.2)
 
 
+@contextmanager
+def begun(echo: str, play: Callable[[ServerConnection], None], **options: float) -> Iterator[Any]:
+    """Yield an environment in an episode of `play`, which takes the place of the server behind it."""
+    env: Any = glue.make(f"openenv:{echo}", max_text=32, **options)
+    with serve_websockets(play, "127.0.0.1", 0) as server:
+        threading.Thread(target=server.serve_forever).start()
+        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"
+        env.env_init()
+        env.env_start()
+        yield env
+        env.env_cleanup()
+
+
 @pytest.mark.parametrize(
     ("answer", "expected"),
     [
@@ -239,15 +256,13 @@ def test_answer_that_is_no_step_is_refused(answer: dict[str, Any] | None, expect
                 data |= answer
             client.send(json.dumps({"type": "observation", "data": data}))
 
-    env = glue.make(f"openenv:{echo}", max_text=32, timeout=60.0 if answer else 0.5)
-    with serve_websockets(play, "127.0.0.1", 0) as server:
-        threading.Thread(target=server.serve_forever).start()
-        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"  # type: ignore[attr-defined]
-        env.env_init()
-        env.env_start()
+    with begun(echo, play, timeout=50.0) as env:
+        client = env._client.async_client
+        assert client._message_timeout == 50.0
+        if answer is None:  # it is waited for in vain; what came before may have taken longer
+            env._timeout = client._message_timeout = 0.5
         with pytest.raises(SimulatorError, match=expected):
             step(env, 0, "")
-        env.env_cleanup()
 
 
 def test_episode_is_not_continued_over_another_connection(echo: str) -> None:
@@ -258,37 +273,50 @@ def test_episode_is_not_continued_over_another_connection(echo: str) -> None:
             client.send(json.dumps({"type": "observation", "data": {"observation": value, "done": False}}))
         # Returning closes the connection.
 
-    env = glue.make(f"openenv:{echo}", max_text=32)
-    with serve_websockets(play, "127.0.0.1", 0) as server:
-        threading.Thread(target=server.serve_forever).start()
-        env.url = f"http://127.0.0.1:{server.socket.getsockname()[1]}"  # type: ignore[attr-defined]
-        env.env_init()
-        env.env_start()
+    with begun(echo, play) as env:
         step(env, 0, "")
         with pytest.raises(SimulatorError, match="closed the connection in the middle of an episode"):
             step(env, 0, "")
         env.env_start()
-        env.env_cleanup()
 
 
 def test_our_environment_plays_with_openenvs_client_as_it_plays_here(mines: str) -> None:
-    here = glue.gym.wrap(glue.make("mines"))
+    here = glue.gym.wrap(glue.make("mines", masks=True))
     chance = np.random.default_rng(5)
     with GenericEnvClient(mines).sync() as client:
         for seed in range(3):
             assert client.reset(seed=seed).observation["observation"] == here.reset(seed=seed)[0]
             for move in chance.integers(4, size=200).tolist():
-                there, (shown, reward, over, *_) = client.step({"action": move}), here.step(move)
+                there, (shown, reward, over, _, info) = client.step({"action": move}), here.step(move)
                 assert (there.observation["observation"], there.reward, there.done) == (shown, reward, over)
+                assert there.metadata == {"action_mask": info["action_mask"].tolist()}
                 if over:
                     break
         assert client.state()["step_count"] > 0
         with pytest.raises(RuntimeError, match="VALIDATION_ERROR"):
             client.step({"action": 4})
+        with pytest.raises(RuntimeError, match="a seed is a whole number, not 'x'"):
+            client.reset(seed="x")
     here.close()
 
 
-def test_the_schema_states_what_an_action_is(mines: str) -> None:
+def test_episode_that_is_cut_off_is_done_and_says_so() -> None:
+    environment = ScriptedEnvironment(length=1)
+    environment.cuts = True
+    environment.task_spec = (
+        "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 9) "
+        "ACTIONS INTS (0 2) (0 1) REWARDS (0 1) EXTRA masks"
+    )
+    with served(application(lambda: environment, "cut")) as url, GenericEnvClient(url).sync() as client:
+        every = {"action_mask": [[1, 1, 1], [1, 1]]}
+        assert client.reset().metadata == every
+        result = client.step({"action": [0, 0]})
+        assert (result.done, result.metadata) == (True, {"truncated": True, **every})
+
+
+def test_the_server_states_its_name_and_what_an_action_is(mines: str) -> None:
+    with urllib.request.urlopen(f"{mines}/metadata") as answer:
+        assert json.load(answer)["name"] == "mines"
     with urllib.request.urlopen(f"{mines}/schema") as answer:
         action = json.load(answer)["action"]["properties"]["action"]
     assert (action["minimum"], action["maximum"]) == (0, 3)
@@ -359,14 +387,38 @@ def test_the_page_is_true(tmp_path: Path) -> None:
 
 
 def test_command_serves_until_it_is_interrupted() -> None:
-    command = [sys.executable, "-m", "glue_rl", "environment", "mines", "--openenv", "127.0.0.1:0"]
+    options = ["--masks", "--check-actions", "--openenv", "127.0.0.1:0"]
+    command = [sys.executable, "-m", "glue_rl", "environment", "mines", *options]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         (url,) = next(found for line in process.stderr if (found := re.findall(r"http://\S+", line)))
-        with GenericEnvClient(url).sync() as client:
-            assert client.reset(seed=1).done is False
-        process.send_signal(signal.SIGINT)
+        try:
+            with GenericEnvClient(url).sync() as client:
+                mask = client.reset(seed=1).metadata["action_mask"]
+                with pytest.raises(RuntimeError, match="is illegal"):
+                    client.step({"action": mask.index(0)})
+        finally:
+            process.send_signal(signal.SIGINT)
         assert process.wait(60) == 130
+
+
+def test_command_prints_a_level_instead_of_serving() -> None:
+    options = ["mario", "--openenv", "127.0.0.1:0", "--level-width", "0", "--level-template", "0"]
+    done = CliRunner().invoke(glue_env, options, catch_exceptions=False)
+    assert (done.exit_code, done.stdout) == (0, InfiniteMario(level_width=0).level_template(0))
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--openenv", "127.0.0.1:0", "--render"], "leave out --render"),
+        (["--openenv", "127.0.0.1:0", "--hub-key", "hub.pub"], "leave out --hub-key"),
+        (["--insecure"], "--insecure is for --openenv"),
+    ],
+)
+def test_option_that_would_have_no_effect_is_refused(options: list[str], expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        CliRunner().invoke(glue_env, ["mines", *options], catch_exceptions=False)
 
 
 def test_page_of_another_site_cannot_play(mines: str) -> None:
@@ -390,9 +442,10 @@ def test_client_that_leaves_before_its_answer_is_no_error() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "body", "status"), [("/mcp", b"{}", "404"), ("/reset", b" " * (2**20 + 1), "400")]
+    ("path", "body", "status"),
+    [("/mcp", b"{}", "404"), ("/step", b"{}", "404"), ("/reset", b" " * (2**20 + 1), "400")],
 )
-def test_request_that_would_last_is_refused(path: str, body: bytes, status: str, mines: str) -> None:
+def test_request_that_is_not_served_is_refused(path: str, body: bytes, status: str, mines: str) -> None:
     headers = {"Content-Type": "application/json"}
     with pytest.raises(urllib.error.HTTPError, match=status):
         urllib.request.urlopen(urllib.request.Request(mines + path, body, headers))

@@ -12,7 +12,7 @@ import pytest
 
 from glue.client.experiment import connect
 from glue.conform.hubs.rules import RULES
-from glue.conform.hubs.scripted import reward
+from glue.conform.hubs.scripted import did, reward
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.channel import Channel
 from glue.hub.config import HubConfig
@@ -161,6 +161,20 @@ class DoesNotWait(Spoiled):
             due()
 
 
+class CallsALateAgentAgain(DoesNotWait):
+    def receive(self, channel: Channel, message: Message, now: float) -> bool:
+        if message.kind is Kind.AGENT_STEP:
+            self.seen.pop(message.session, None)
+        return super().receive(channel, message, now)
+
+    def send(self, channel: Channel, message: Message) -> bool:
+        if message.kind is Kind.AGENT_STEP:
+            self.seen[message.session] = channel, message
+        elif message.kind is Kind.ENV_STEP and message.session in self.seen:
+            super().send(*self.seen[message.session])
+        return super().send(channel, message)
+
+
 class WaitsForEver(Spoiled):
     def tick(self, now: float) -> None:
         super().tick(0.0)
@@ -202,6 +216,13 @@ def last_observation(kept: str) -> Change:
         return message._replace(body=readable(body, {kept})) if has_beside(body) else message
 
     return change
+
+
+def forgets_late_answers(message: Message, seen: Seen) -> Message:
+    """Carry out the action before once more, in place of the answer of a late agent."""
+    if message.kind is Kind.AGENT_STEP and message.scalars[0] == LATE:
+        seen[message.session] = True
+    return message._replace(body=message.body.replace(did(1), did(0))) if message.session in seen else message
 
 
 def backwards(message: Message, seen: Seen) -> Message:
@@ -283,6 +304,19 @@ BROKEN_HUBS: dict[str, tuple[HubRule, type[Spoiled]]] = {
         HubRule.PACE,
         saying(first(lambda given: reward(3) if given == LATE else given), Kind.AGENT_STEP, base=DoesNotWait),
     ),
+    "forgets them at the end": (
+        HubRule.PACE,
+        saying(
+            first(lambda given: reward(5) if given == reward(4) + reward(5) else given),
+            Kind.AGENT_END,
+            base=DoesNotWait,
+        ),
+    ),
+    "forgets late answers": (
+        HubRule.PACE,
+        saying(forgets_late_answers, Kind.AGENT_STEP, Kind.ENV_STEP, Kind.RL_STEP, base=DoesNotWait),
+    ),
+    "calls a late agent again": (HubRule.PACE, CallsALateAgentAgain),
     "counts no late actions": (
         HubRule.PACE,
         saying(

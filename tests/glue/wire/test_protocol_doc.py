@@ -163,7 +163,7 @@ def scalars_cell(shape: Shape) -> str:
     cells = [
         ", ".join(f"`{scalar.name}` {type_cell(scalar)}" for scalar in s) for s in (shape.scalars, shape.more)
     ]
-    with_what = "[`mask` or `extras`](#beside-the-observation)"
+    with_what = "[`mask`, `extras` or `pace`](#capabilities)"
     if shape.more == CONTROL[Kind.HELLO].scalars[-1:]:
         return f"; with {with_what} also ".join(cells)
     paced = (CALLS[Kind.AGENT_STEP].request, CALLS[Kind.RL_NUM_STEPS].reply)

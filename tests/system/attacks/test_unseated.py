@@ -30,10 +30,11 @@ def test_of_connections_that_join_no_session_the_oldest_make_room() -> None:
 
 
 def test_a_connection_that_joins_no_session_does_not_stay() -> None:
-    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=0.1)
+    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT)
     with Hub(config).in_background() as hub:
         url = hub.endpoints[0]
         with ScriptedPeer(url).connect() as silent, ScriptedPeer(url).greet() as greeted:
+            object.__setattr__(hub.config, "greeting", 0.0)  # from now on it waits for nobody
             for connection in (silent, greeted):
                 connection.read_to_end()
 

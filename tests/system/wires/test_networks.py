@@ -15,7 +15,7 @@ from glue.client.experiment import RemoteExperiment, connect_over
 from glue.hub.config import HubConfig
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
-from tests.players import ChainAgent, ChainEnvironment
+from tests.players import At, ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import ROOT
 from tests.system.test_faults import chain
@@ -39,17 +39,14 @@ def hosts() -> Iterator[Networks]:
 
 
 class Watched(ChainEnvironment):
-    """An environment that does something before one of its steps."""
+    """An environment that does something before its fiftieth step."""
 
-    def __init__(self, number: int, act: Callable[[], None]) -> None:
+    def __init__(self, act: Callable[[], None]) -> None:
         super().__init__()
-        self._left = number
-        self._act = act
+        self._before = At("env_step", 50, act)
 
     def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        self._left -= 1
-        if self._left == 0:
-            self._act()
+        self._before("env_step")
         return super().env_step(action)
 
 
@@ -91,14 +88,14 @@ def test_a_blackhole_that_ends_in_time_costs_nothing(hosts: Networks, libzmq: bo
         hosts.swallow(True)
         threading.Timer(1.0, hosts.swallow, (False,)).start()
 
-    with run(hosts, Watched(50, pull), timeout=30.0, libzmq=libzmq) as glue:
+    with run(hosts, Watched(pull), timeout=30.0, libzmq=libzmq) as glue:
         assert chain(glue, EPISODES) == chain(local(ChainAgent(), ChainEnvironment()), EPISODES)
 
 
 @pytest.mark.parametrize("libzmq", [False, True], ids=["plain", "libzmq"])
 def test_a_player_in_a_blackhole_is_given_up_and_comes_back(hosts: Networks, libzmq: bool) -> None:
     timeout = 1.5
-    with run(hosts, Watched(50, lambda: hosts.swallow(True)), timeout, libzmq) as glue:
+    with run(hosts, Watched(lambda: hosts.swallow(True)), timeout, libzmq) as glue:
         with pytest.raises(PeerLost, match="ChainAgent was unreachable"):
             chain(glue, EPISODES)
         done = glue.rl_num_episodes()

@@ -57,13 +57,20 @@ def test_who_joins_has_all_that_is_needed_in_a_file(entrance: Entrance, tmp_path
 def test_an_attempt_that_an_image_plays_is_waited_for_and_its_result_is_the_output(
     entrance: Entrance, tmp_path: Path
 ) -> None:
-    playing = {"state": "playing", "attempt": 2, "trial": 1, "trials": 1, "session": "alice"}
-    over = {"state": "over", "attempt": 2, "score": 7.5, "place": 1, "of": 3, "left": 4}
+    playing = {"state": "playing", "attempt": 2, "trial": 1, "trials": 1, "session": "alice", "image": True}
+    over = {"state": "over", "attempt": 2, "image": True, "score": 7.5, "place": 1, "of": 3, "left": 4}
     entrance.replies = [playing, {"state": "verifying", "attempt": 2}, over]
     done = run(tmp_path, "glue-agent", "random", "--season", "season.toml")
-    assert done.stdout == "attempt 2 is over; score 7.5; place 1 of 3; attempts left: 4\n"
+    assert done.stdout == "attempt 2 of your image is over; score 7.5; place 1 of 3; attempts left: 4\n"
     assert "Error" not in done.stderr
+    assert done.stderr.count("and not this program") == 1
     assert entrance.asked == [Attempt("alice"), Attempt("alice", 2), Attempt("alice", 2)]
+
+
+def test_an_attempt_that_is_forfeited_ends_in_failure(entrance: Entrance, tmp_path: Path) -> None:
+    entrance.replies = [{"state": "over", "attempt": 2, "outcome": "forfeited", "why": "its bank is empty"}]
+    done = run(tmp_path, "glue-agent", "random", "--season", "season.toml", status=1)
+    assert done.stdout == "attempt 2 is over; forfeited (its bank is empty)\n"
 
 
 @pytest.mark.parametrize(
@@ -73,6 +80,9 @@ def test_an_attempt_that_an_image_plays_is_waited_for_and_its_result_is_the_outp
         ("glue-agent --season season.toml my.py:Agent", 2, "glue-agent my.py:Agent --season"),
         ("glue-compete join http://x --dir b --name Müller", 2, "cannot be a name"),
         ("glue-compete serve file.toml --out run", 2, "file.toml has no table [season]"),
+        ("glue-compete serve file.toml --out run --page foo", 2, "--page is HOST:PORT"),
+        ("glue-compete serve file.toml --out run --page 0.0.0.0:8097", 2, "add --insecure"),
+        ("glue-compete serve file.toml --out run --page 127.0.0.1:{port}", 2, "choose another port (--page)"),
         ("glue-compete submit agent.tar", 1, "not as docker save writes it"),
         ("glue-compete submit my-agent", 2, "there is no file my-agent, and no docker here"),
     ],
@@ -83,7 +93,8 @@ def test_a_mistake_costs_no_attempt(
     text = FILE.partition("[season]")[0] + "tasks.a = { env = 'mines', steps = 9 }\n"
     (tmp_path / "file.toml").write_text(text + "entrants.a = { command = ['true'] }\n")
     (tmp_path / "agent.tar").write_bytes(b"no image" * 100)
-    done = run(tmp_path, *command.split(), status=status, SECRET="nobody knows", PATH="/nowhere")
+    arguments = command.format(port=entrance.port).split()
+    done = run(tmp_path, *arguments, status=status, SECRET="nobody knows", PATH="/nowhere")
     assert why in done.stderr
     assert not (tmp_path / "run").exists()
     assert not entrance.asked

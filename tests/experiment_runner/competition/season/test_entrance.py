@@ -208,9 +208,10 @@ def test_what_was_signed_for_an_earlier_start_of_the_page_is_to_be_signed_anew(
 def test_a_machine_that_cannot_keep_an_image_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=2))
     with entrance_at(tmp_path / "run") as entrance:
-        with pytest.raises(SeasonBusy, match="cannot keep the image: No space left") as caught:
-            entrance.season.submit(io.BytesIO(b"x"))
-        assert caught.value.seconds == 600
+        for _ in range(6):  # more than the images that one may send at once: it is not by its fault
+            with pytest.raises(SeasonBusy, match="cannot keep the image: No space left") as caught:
+                entrance.season.submit(io.BytesIO(b"x"))
+            assert caught.value.seconds == 600
 
 
 def test_an_upload_that_stops_half_way_leaves_nothing_and_is_one_at_a_time(tmp_path: Path) -> None:
@@ -288,11 +289,15 @@ def test_a_rate_forgets_those_who_have_rested() -> None:
         ("127.0.0.1", ["198.51.100.1"], "198.51.100.1"),
         ("127.0.0.1", ["192.0.2.7, 198.51.100.1"], "198.51.100.1"),  # it has invented the first
         ("127.0.0.1", ["192.0.2.7", "2001:db8::1"], "2001:db8::/64"),
+        ("172.30.97.1", ["192.0.2.7, 198.51.100.1"], "198.51.100.1"),
+        ("::ffff:172.30.97.1", ["198.51.100.1"], "198.51.100.1"),
+        ("172.30.97.2", ["198.51.100.1"], "172.30.97.2"),
         ("127.0.0.1", ["x" * 1000], "127.0.0.1"),
     ],
 )
-def test_limits_count_by_the_address_behind_a_proxy_of_this_machine(
+def test_limits_count_by_the_address_behind_a_proxy_that_is_here_or_named(
     peer: str, passed: list[str], counted: str
 ) -> None:
     headers = [(b"x-forwarded-for", one.encode()) for one in passed]
-    assert address_of(Request({"type": "http", "client": (peer, 1), "headers": headers})) == counted
+    request = Request({"type": "http", "client": (peer, 1), "headers": headers})
+    assert address_of(request, "172.30.97.1") == counted

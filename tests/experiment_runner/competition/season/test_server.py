@@ -255,6 +255,9 @@ def test_who_closes_the_season_lets_what_is_played_end(season: Season) -> None:
     season.refuses(Attempt("bob"), "the season closed")
     season.act("exclude", "carol")
     assert season.server.over
+    assert not season.server.may_end  # its program asks how it went
+    season.seconds += 30
+    assert season.server.may_end
 
 
 @pytest.mark.parametrize(
@@ -315,7 +318,8 @@ def test_an_image_plays_in_place_of_a_key_once_it_is_submitted(season: Season) -
     season.refuses(Submit("alice", "alice:latest", "alice:1"), "not the id of an image")
     season.ask(alice)
     season.executor.agents["alice"] = None
-    assert "hub" not in season.ask(Attempt("alice"))
+    reply = season.ask(Attempt("alice"))
+    assert ("hub" in reply, reply["image"]) == (False, True)
     season.turns()
     (job,) = season.executor.jobs.values()
     assert (job.entrant.image, job.entrant.id) == ("alice:1", IDS[0])

@@ -155,7 +155,7 @@ def test_a_benchmark_continues_from_what_both_players_have_saved() -> None:
 
 
 def test_levels_in_the_files_of_a_folder_are_a_set(tmp_path: Path) -> None:
-    folder, out = tmp_path / "levels", tmp_path / "scores.json"
+    folder, out = tmp_path / "week#1:2", tmp_path / "scores.json"
     folder.mkdir()
     flat, wall = "X" * 30, ("-" * 20 + "#" + "-" * 9 + "\n") * 14 + "X" * 30
     (folder / "wall.txt").write_text(wall)

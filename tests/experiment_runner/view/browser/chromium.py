@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -141,11 +142,10 @@ class Browser:
 
     def foreign(self) -> list[str]:
         """Return the URLs of other hosts in the browser's own log of requests since the last call."""
-        ours = (f"http://127.0.0.1:{self._page.port}/", "data:", "blob:", "about:")
         found = [json.loads(line["message"])["message"] for line in self.driver.get_log("performance")]
         sent = [one["params"] for one in found if one["method"] == "Network.requestWillBeSent"]
         urls = [str(one["request"]["url"]) for one in sent]
-        return [url for url in urls if not url.startswith(ours)]
+        return [url for url in urls if urlsplit(url).hostname not in (None, "127.0.0.1")]
 
     def _devtools(self, command: str, **arguments: object) -> None:
         self.driver.execute_cdp_cmd(command, arguments)
@@ -153,7 +153,7 @@ class Browser:
 
 @contextlib.contextmanager
 def browsing(page: Page) -> Iterator[Browser]:
-    """Open a page in a browser of its own."""
+    """Open a page in a browser of its own; check at the end that nothing was an error or asked elsewhere."""
     from selenium import webdriver
 
     options = webdriver.ChromeOptions()
@@ -163,6 +163,9 @@ def browsing(page: Page) -> Iterator[Browser]:
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = webdriver.Chrome(options, webdriver.ChromeService(shutil.which("chromedriver")))
     try:
-        yield Browser(driver, page)
+        browser = Browser(driver, page)
+        yield browser
+        assert browser.errors() == []
+        assert browser.foreign() == []
     finally:
         driver.quit()

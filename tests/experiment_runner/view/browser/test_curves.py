@@ -102,8 +102,3 @@ def saved(browser: Browser, view: str, button: str, file: Path) -> bytes:
     browser.button(button).click()
     wait_until(file.exists, file.name)
     return file.read_bytes()
-
-
-def test_nothing_went_wrong_and_no_other_host_was_asked(browser: Browser) -> None:
-    assert browser.errors() == []
-    assert browser.foreign() == []

@@ -83,8 +83,3 @@ def test_a_run_takes_notes_and_tags(browser: Browser, folder: Path) -> None:
         "good",
         "<b>paper",
     ]
-
-
-def test_nothing_went_wrong_and_no_other_host_was_asked(browser: Browser) -> None:
-    assert browser.errors() == []
-    assert browser.foreign() == []

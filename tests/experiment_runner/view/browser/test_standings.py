@@ -87,8 +87,3 @@ def test_standings_are_those_of_glue_compete_board(browser: Browser, folder: Pat
     assert browser.has_table("Places")
     assert browser.tables() == tables
     assert browser.find("h1").text == "<b>spring</b>"
-
-
-def test_nothing_went_wrong_and_no_other_host_was_asked(browser: Browser) -> None:
-    assert browser.errors() == []
-    assert browser.foreign() == []

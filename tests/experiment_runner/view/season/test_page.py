@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from starlette.types import Receive, Scope, Send
 
 from experiment_runner.competition.season.entrance import routes
 from experiment_runner.competition.trials import pseudonym
-from experiment_runner.view.guard import HEADERS, Address
+from experiment_runner.view.guard import ADMIT, HEADERS, Address
 from experiment_runner.view.season.page import season_page
 from experiment_runner.view.season.views import Views, organisers_token
 from tests.experiment_runner.competition.season import inside
@@ -95,6 +96,19 @@ def test_an_entrants_token_shows_its_own_row_and_the_organisers_all(season: Show
     assert {one["name"] for one in everything["entrants"]} == {"alice", "bob"}
     assert everything["tasks"] == ["mines", "deep"]
     assert "what the organiser sees" in everything["state"]
+
+
+def test_no_connection_is_kept_but_the_organisers(season: Shown) -> None:
+    """Whoever has enrolled could hold a thousand."""
+    kept: list[str] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        await season.app({**scope, "state": {ADMIT: lambda: kept.append(token)}}, receive, send)
+
+    for token in (season.token, season.organiser):
+        cookie = {"Host": f"127.0.0.1:{PORT}", "Cookie": season.log_in(token)}
+        assert asked(app, "/season.json", cookie).status == 200
+    assert kept == [season.organiser]
 
 
 def test_a_wrong_token_shows_no_more_than_everybody_sees(season: Shown) -> None:

@@ -79,6 +79,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(season: Season) -> None:
         (("--page", "127.0.0.1:99999"), "--page is HOST:PORT"),
         (("--page", "0.0.0.0:8097"), "add --insecure"),
         (("--proxy", "lab.example"), "--proxy is an address"),
+        (("--proxy-address", "lab.example"), "lab.example is not an IP address"),
         ((), "holds no competition"),
     ],
 )
