@@ -181,6 +181,7 @@ def test_an_attempt_is_run_again_at_no_cost_when_its_program_is_there(season: Se
     assert season.act("rerun", "alice", number=2)
     season.later(1000)
     assert season.states("alice")[4] == "waiting"
+    season.refuses(Withdraw("alice", 4), "the organiser has had attempt 2 run again")
     season.attempt("alice")
     assert season.state.attempt("alice", 4).instead == 2
     assert season.states("alice")[4] == "over"
