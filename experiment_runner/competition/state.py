@@ -79,7 +79,8 @@ class Enrolled:
         attempts: by number, in the order in which they were queued.
         excluded: the reason; empty if it is not excluded.
         paused: the reason; empty if it is not paused.
-        amends: whether it is paused for what it forfeits, until it submits another image.
+        amends: when it was paused for what it forfeits, until it submits another image or, as its program
+            may change unseen behind a key, until the next day; None if it was paused otherwise.
         granted: number of attempts that are left of those that were granted.
         used: number of attempts that were charged to each day.
         failed: attempts that it has forfeited in a row since its last image, or since it was resumed.
@@ -92,7 +93,7 @@ class Enrolled:
     attempts: dict[int, Attempt] = field(default_factory=dict)
     excluded: str = ""
     paused: str = ""
-    amends: bool = False
+    amends: datetime | None = None
     granted: int = 0
     used: Counter[date] = field(default_factory=Counter)
     failed: int = 0
@@ -224,7 +225,7 @@ class State:
                 self.entrant(one.subject).granted += one.number
             case journal.PAUSE:
                 entrant = self.entrant(one.subject)
-                entrant.paused, entrant.amends = one.reason, one.number > 0
+                entrant.paused, entrant.amends = one.reason, one.when if one.number else None
             case journal.RESUME:
                 entrant = self.entrant(one.subject)
                 entrant.paused, entrant.failed = "", 0

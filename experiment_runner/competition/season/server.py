@@ -454,6 +454,10 @@ class Server(Matches):
             asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
             if not one.instead and self._has_key(name) and clock - asked > _ABSENT_SECONDS:
                 self._act(journal.CANCEL, name, "its program has stopped asking for it", number=one.number)
+        for name, entrant in state.entrants.items():
+            since = entrant.amends if entrant.paused and self._has_key(name) else None
+            if since is not None and now >= schedule.day_after(state, since):
+                self._act(journal.RESUME, name, "a new day has begun")
         if state.closed is None and state.season.opens <= now < state.season.closes:
             for name in self._named:
                 entrant = state.entrants[name]
@@ -548,6 +552,9 @@ class Server(Matches):
         entrant = self._state.entrants[name]
         if entrant.failed >= most and not entrant.paused and self._state.closed is None:
             why = f"it has forfeited {most} attempts in a row, the last in {slot.forfeit}"
+            if self._has_key(name):
+                until = schedule.day_after(self._state, self._now())
+                why += f"; until {until}, or until the organiser resumes it"
             self._act(journal.PAUSE, name, why, number=most)
 
     def _fail(self, slot: _Slot, why: str) -> None:

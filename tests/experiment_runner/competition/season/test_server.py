@@ -136,7 +136,7 @@ def test_nothing_is_played_without_end_nor_costs_anything_of_the_day_after(seaso
     season.refuses(Attempt("alice"), "has used its 3 attempts")
 
 
-def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(season: Season) -> None:
+def test_one_that_fails_again_and_again_is_paused_until_the_next_day(season: Season) -> None:
     for agent in (Raising(), Walker(), Raising()):
         season.attempt("alice", agent)
     assert season.state.entrants["alice"].paused == ""
@@ -144,8 +144,14 @@ def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(sea
     season.attempt("alice")
     paused = season.state.entrants["alice"].paused
     assert paused.startswith("it has forfeited 2 attempts in a row, the last in mines, trial 0: ")
-    season.refuses(Attempt("alice"), "alice is paused: it has forfeited")
+    until = r"; until 2026-12-03 00:00:00\+00:00, or until the organiser resumes it"
+    season.refuses(Attempt("alice"), f"alice is paused: it has forfeited .*{until}")
     season.act("resume", "alice")
+    for _ in range(2):
+        season.attempt("alice")
+    assert season.state.entrants["alice"].paused
+    season.days(0.7)  # a new day has begun
+    season.later(5)
     season.attempt("alice", Walker())
     assert season.state.entrants["alice"].failed == 0
 
