@@ -266,7 +266,7 @@ class Server(Matches):
                 return self._attempt(name, number)
             case control.Key(name):
                 entrant = self._state.entrants.get(name)
-                return {"key": None if entrant is None or entrant.excluded else entrant.key or None}
+                return {"key": None if entrant is None else entrant.key or None}
             case control.Withdraw(name, number):
                 return self._withdraw(name, number)
             case control.Submit():
@@ -385,6 +385,7 @@ class Server(Matches):
         return self._boards
 
     def _withdraw(self, name: str, number: int) -> Reply:
+        self._state.taking_part(name)
         one = self._state.attempt(name, number)
         if one.state == "playing":
             raise ExperimentError(f"attempt {number} is played: it can be withdrawn when it is over")
