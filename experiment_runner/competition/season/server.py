@@ -281,9 +281,30 @@ class Server(Matches):
         return {"acts": [line_of(one) for one in acts]}
 
     def _enrol(self, wanted: control.Enrol) -> Reply:
+        try:
+            key = encode(decode_key(wanted.key))
+        except ValueError:
+            raise ExperimentError("the key is not a public key, as glue-keys makes it") from None
         season, name = self._state.season, wanted.name
-        if season.enrol == "closed" or self._gate is None:
+        known = self._state.entrants.get(name)
+        is_new = known is None or known.key != key
+        if self._gate is None or (is_new and season.enrol == "closed"):
             raise ExperimentError("nobody can enrol: ask the organiser")
+        token = base64.urlsafe_b64encode(derived(self._secret, "token", name)[:18]).decode()
+        more = {"id": key, "token": hashlib.sha256(token.encode()).hexdigest()}
+        if is_new:
+            self._check_new(wanted, key)
+            taken = {one.act.alias for one in self._state.entrants.values()}
+            alias = pseudonym(name, self._secret, taken)
+            self._act(journal.ENROL, name, "", player=f"{name}.key", alias=alias, team=wanted.team, **more)
+        elif not self._state.entrants[name].act.token:  # the organiser has admitted it
+            self._act(journal.ENROL, name, "", **more)
+        hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
+        shown = name if season.names == "own" else self._state.entrants[name].act.alias
+        return {"hub_key": hub_key, "token": token, "alias": shown}
+
+    def _check_new(self, wanted: control.Enrol, key: str) -> None:
+        season, name = self._state.season, wanted.name
         schedule.check_not_over(self._state, self._now())
         if season.enrol == "code" and not (
             self._code and hmac.compare_digest(self._code.encode(), wanted.code.encode())
@@ -293,28 +314,12 @@ class Server(Matches):
             raise ExperimentError(f"{name!r:.80} cannot be a name: {NAMES}")
         if wanted.team and not (season.teams and is_name(wanted.team)):
             raise ExperimentError(f"there are no teams, or {wanted.team!r:.80} cannot be the name of one")
-        try:
-            key = encode(decode_key(wanted.key))
-        except ValueError:
-            raise ExperimentError("the key is not a public key, as glue-keys makes it") from None
-        token = base64.urlsafe_b64encode(derived(self._secret, "token", name)[:18]).decode()
-        known = self._state.entrants.get(name)
-        if known is None or known.key != key:
-            self._check_new(name, key)
-            digest = hashlib.sha256(token.encode()).hexdigest()
-            taken = {one.act.alias for one in self._state.entrants.values()}
-            more = {"alias": pseudonym(name, self._secret, taken), "team": wanted.team, "token": digest}
-            self._act(journal.ENROL, name, "", player=f"{name}.key", id=key, **more)
-        hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
-        return {"hub_key": hub_key, "token": token, "alias": self._state.entrants[name].act.alias}
-
-    def _check_new(self, name: str, key: str) -> None:
         others = self._state.entrants.values()
         if any(one.name.casefold() == name.casefold() for one in others):
             raise ExperimentError(f"the name {name} is taken: choose another")
         if any(one.key == key for one in others):
             raise ExperimentError("the owner of this key takes part already, under another name")
-        if len(others) >= self._state.season.most_entrants:
+        if len(others) >= season.most_entrants:
             raise ExperimentError(
                 f"{len(others)} take part, and there is no room for more: ask the organiser"
             )

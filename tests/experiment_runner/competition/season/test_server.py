@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from experiment_runner.competition.settings import Gate
 from experiment_runner.store.layout import DirectoryTaken
 from glue.client.libzmq import new_pair
 from glue.errors import ConfigError, ExperimentError
-from glue.keys.certificates import encode
+from glue.keys.certificates import encode, write_pair
 from tests.experiment_runner.competition.players import Walker
 from tests.experiment_runner.competition.season.inside import CODE, FILE, SECRET, Absent, Raising, Season
 
@@ -281,6 +282,24 @@ def test_who_cannot_enrol_is_told_why(season: Season, wanted: dict[str, str], wh
     assert season.ask(carol) == joined  # a reply may have been lost
     other = {"name": "bob", "key": encode(new_pair().public), "code": CODE}
     season.refuses(Enrol(**{**other, **wanted}), why)
+
+
+def test_one_of_the_file_joins_with_its_key_though_nobody_can_enrol(tmp_path: Path) -> None:
+    pair = new_pair()
+    write_pair(tmp_path, "zo", pair)
+    closed = FILE.replace('enrol = "code"', 'enrol = "closed"\nnames = "own"')
+    season = Season(tmp_path, closed + '[entrants.zo]\nkey = "zo.key"\n')
+    with season.stack:
+        zo = Enrol("zo", encode(pair.public))
+        joined = season.ask(zo)
+        assert joined["alias"] == "zo"
+        assert hashlib.sha256(joined["token"].encode()).hexdigest() == season.state.entrants["zo"].act.token
+        season.restart()
+        assert season.ask(zo) == joined
+        season.attempt("zo")
+        assert season.states("zo") == {1: "over"}
+        for name in ("zo", "alice"):
+            season.refuses(Enrol(name, encode(new_pair().public)), "nobody can enrol")
 
 
 def test_an_owner_withdraws_what_is_over_or_waits(season: Season) -> None:
