@@ -43,7 +43,7 @@ def next_attempts(
         now: the time.
         ready: whether an attempt can play; others are passed over.
     """
-    if state.paused or state.closed is not None or now < state.season.opens:
+    if state.paused or now < state.season.opens:
         return []
     playing = {one.entrant for one in state.attempts("playing")}
     chosen: dict[str, Attempt] = {}

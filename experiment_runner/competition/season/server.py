@@ -63,6 +63,9 @@ _LOOK_SECONDS: Final = 1.0
 _ABSENT_SECONDS: Final = 60.0
 """Time after which the waiting attempt of a program that no longer asks for it is cancelled."""
 
+_RERUN_SECONDS: Final = 7 * 86_400.0
+"""The same for one that the organiser has queued, of which its owner is to learn first."""
+
 _PRESENT_SECONDS: Final = 15.0
 """Time for which a program that has asked counts as present, so that its attempt may be let play."""
 
@@ -227,8 +230,8 @@ class Server(Matches):
 
     @property
     def over(self) -> bool:
-        """Whether the season is closed, and what was played is over."""
-        return self._state.closed is not None and not self._slots
+        """Whether the season is closed, and what was played is over, also if it had to start again."""
+        return self._state.closed is not None and not self._state.attempts("waiting", "playing")
 
     def begin(self, dispatcher: Dispatcher) -> None:
         """Go on with the attempts that were played when the server before this one ended."""
@@ -437,7 +440,7 @@ class Server(Matches):
         for one in acts:
             self._course.acts.append(one)
             self._state.apply(one)
-            if one.act == journal.REQUEST:
+            if one.act in (journal.REQUEST, journal.RERUN):
                 self._queued[one.subject] = self._clock()
             self._say(one.line)
         for slot in list(self._slots.values()):
@@ -458,7 +461,8 @@ class Server(Matches):
         for one in state.attempts("waiting"):
             name = one.entrant
             asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
-            if not one.instead and self._has_key(name) and clock - asked > _ABSENT_SECONDS:
+            patience = _RERUN_SECONDS if one.instead and state.closed is None else _ABSENT_SECONDS
+            if self._has_key(name) and clock - asked > patience:
                 self._act(journal.CANCEL, name, "its program has stopped asking for it", number=one.number)
         for name, entrant in state.entrants.items():
             since = entrant.amends if entrant.paused and self._has_key(name) else None
@@ -576,7 +580,7 @@ class Server(Matches):
         failed = ended.index("over") if "over" in ended else len(ended)
         self._rests[slot.number] = self._clock() + _REST_SECONDS
         self._rests[name] = self._clock() + _REST_SECONDS * 2 ** min(failed, _MOST_DOUBLED)
-        self._record(ours, *([] if self._state.closed else [again]))
+        self._record(ours, again)
 
     def _leave(self, slot: _Slot) -> None:
         """Take the slot from an attempt that is no longer played."""

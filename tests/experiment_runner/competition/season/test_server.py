@@ -159,10 +159,16 @@ def test_one_that_fails_again_and_again_is_paused_until_the_next_day(season: Sea
 
 def test_nobody_is_paused_for_the_final_by_an_attempt_that_ends_after_the_season(season: Season) -> None:
     season.attempt("alice", Raising())
+    season.executor.agents["alice"] = "the disk is on fire"
     season.ask(Attempt("alice"))
     season.act("close")
     season.turns()
-    assert season.states("alice") == {1: "over", 2: "over"}
+    assert season.states("alice") == {1: "over", 2: "ours", 3: "waiting"}
+    assert not season.server.over
+    season.executor.agents["alice"] = Raising()
+    season.later(20, "alice")
+    assert season.states("alice") == {1: "over", 2: "ours", 3: "over"}
+    assert season.server.over
     assert season.course.paused == {}
 
 
@@ -189,9 +195,13 @@ def test_an_attempt_is_run_again_at_no_cost_when_its_program_is_there(season: Se
     season.later(1000)
     assert season.states("alice")[4] == "waiting"
     season.refuses(Withdraw("alice", 4), "the organiser has had attempt 2 run again")
+    season.seconds += 7 * 86400
+    season.turns()
+    assert season.states("alice")[4] == "cancelled"
+    season.act("rerun", "alice", number=2)
     season.attempt("alice")
-    assert season.state.attempt("alice", 4).instead == 2
-    assert season.states("alice")[4] == "over"
+    assert season.state.attempt("alice", 5).instead == 2
+    assert season.states("alice")[5] == "over"
 
 
 def test_a_restart_goes_on_where_it_was(season: Season) -> None:
