@@ -195,8 +195,8 @@ class State:
                 is_name(one.subject) and one.alias.isprintable() and "/" not in one.alias
             ):
                 raise ExperimentError(f"the journal admits {one.subject!r:.80}, which cannot be a name")
-            case journal.ENROL if one.id and (known := self.entrants.get(one.subject)) and known.key == one.id:
-                known.act = replace(known.act, token=one.token)
+            case journal.ENROL if (had := self.entrants.get(one.subject)) and had.key == one.id != "":
+                had.act = replace(had.act, token=one.token)
             case journal.ADD | journal.ENROL if one.subject in self.entrants:
                 raise ExperimentError(f"the journal admits {one.subject:.80} twice")
             case journal.ENTER | journal.ADD | journal.ENROL:

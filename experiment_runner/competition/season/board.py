@@ -458,10 +458,10 @@ class _Board:
             _text(one.ended),
             place=self._queue.get((one.entrant, one.number), 0),
             instead=one.instead,
-            withdrawn=one.withdrawn is not None and (knows or self._is_told(one.withdrawn)),
+            withdrawn=one.withdrawn is not None and (knows or self._is_known(one.withdrawn)),
             why=one.why if knows else "",
         )
-        if one.state != "over" or not (knows or self._is_told(one.ended or one.requested)):
+        if one.state != "over" or not (knows or self._is_known(one.ended or one.requested)):
             return row
         played = self._facts.played[one.entrant, one.number]
         if not played.verified:
@@ -481,7 +481,7 @@ class _Board:
             ),
         )
 
-    def _is_told(self, time: datetime) -> bool:
+    def _is_known(self, time: datetime) -> bool:
         """Return whether others may know what was at this time."""
         return self._until is None or time <= self._until
 

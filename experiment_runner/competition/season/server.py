@@ -400,7 +400,7 @@ class Server(Matches):
         if one.withdrawn or one.state in ("ours", "cancelled"):
             raise ExperimentError(f"attempt {number} does not count anyway")
         if one.instead and one.state == "waiting":
-            raise ExperimentError(f"the organiser has had attempt {one.instead} run again, as attempt {number}")
+            raise ExperimentError(f"the organiser has had attempt {one.instead} run again, as {number}")
         kind, count = journal.CANCEL if one.state == "waiting" else journal.WITHDRAW, self._state.season.count
         if kind == journal.WITHDRAW and count != "best":
             which = "the last attempt counts" if count == "last" else "all attempts count"

@@ -147,6 +147,8 @@ def test_a_planned_freeze_begins_whatever_was_thawed_before() -> None:
         for kind in kinds:
             made.act(kind)
         assert made.board().frozen == frozen
+
+
 def test_pseudonyms_and_reasons_are_for_the_owner_and_the_organiser() -> None:
     made = Made(NAMES)
     made.attempt("ann", 1.0)
