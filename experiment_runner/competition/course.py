@@ -174,16 +174,6 @@ def _rules(competition: Competition) -> dict[str, object]:
     A season makes its trials later, so what they are made of is among its rules.
     """
     later = () if competition.season is None else competition.tasks
-    made_of = {
-        f"{what} of {task.name}": value
-        for task in later
-        for what, value in (
-            ("env", Path(task.env).name),  # the folder is that of the competition's file
-            ("options", task.options),
-            ("levels", [path.name for path in task.levels]),
-            ("max_steps", task.max_steps),
-        )
-    }
     return {
         "limits": competition.limits,
         "trials": competition.trials,
@@ -191,7 +181,10 @@ def _rules(competition: Competition) -> dict[str, object]:
         "episodes or steps": [(task.name, task.episodes, task.steps) for task in competition.tasks],
         "rate or late": [(task.name, task.pace) for task in competition.tasks],
         "phases": [(task.name, task.phase, task.hidden) for task in competition.tasks],
-        **made_of,
+        "env": [(task.name, Path(task.env).name) for task in later],  # its folder is that of the file
+        "options": [(task.name, task.options) for task in later],
+        "levels": [(task.name, [path.name for path in task.levels]) for task in later],
+        "max_steps": [(task.name, task.max_steps) for task in later],
     }
 
 
