@@ -195,7 +195,11 @@ class Course:
 
 
 def _rules(competition: Competition) -> dict[str, object]:
-    """Return the rules that are not part of the trials, by their names."""
+    """Return the rules that are not part of the trials, by their names.
+
+    A season makes its trials later, so what they are made of is among its rules.
+    """
+    later = () if competition.season is None else competition.tasks
     return {
         "limits": competition.limits,
         "trials": competition.trials,
@@ -203,6 +207,10 @@ def _rules(competition: Competition) -> dict[str, object]:
         "episodes or steps": [(task.name, task.episodes, task.steps) for task in competition.tasks],
         "rate or late": [(task.name, task.pace) for task in competition.tasks],
         "phases": [(task.name, task.phase, task.hidden) for task in competition.tasks],
+        "env": [(task.name, Path(task.env).name) for task in later],  # its folder is that of the file
+        "options": [(task.name, task.options) for task in later],
+        "levels": [(task.name, [path.name for path in task.levels]) for task in later],
+        "max_steps": [(task.name, task.max_steps) for task in later],
     }
 
 

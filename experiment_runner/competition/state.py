@@ -36,7 +36,8 @@ class Attempt:
         start: the act that let it play, with its player; None before.
         ended: when it got its final state; None before.
         why: of `ours` and `cancelled`, the reason; of `over`, why it was forfeited, empty if it was not.
-        withdrawn: whether its owner has withdrawn it, so that it does not count.
+        withdrawn: when its owner has withdrawn it, so that neither it nor what was run again instead of it
+            counts; None if it was not.
         instead: number of the attempt instead of which it counts; 0 if it is no rerun.
         day: the day to which it is charged, unless it is `ours` or `cancelled`; None if it costs nothing, or
             one of the granted attempts.
@@ -51,7 +52,7 @@ class Attempt:
     start: Act | None = None
     ended: datetime | None = None
     why: str = ""
-    withdrawn: bool = False
+    withdrawn: datetime | None = None
     instead: int = 0
     day: date | None = None
     granted: bool = False
@@ -78,7 +79,8 @@ class Enrolled:
         attempts: by number, in the order in which they were queued.
         excluded: the reason; empty if it is not excluded.
         paused: the reason; empty if it is not paused.
-        amends: whether it is paused for what it forfeits, until it submits another image.
+        amends: when it was paused for what it forfeits, until it submits another image or, as its program
+            may change unseen behind a key, until the next day; None if it was paused otherwise.
         granted: number of attempts that are left of those that were granted.
         used: number of attempts that were charged to each day.
         failed: attempts that it has forfeited in a row since its last image, or since it was resumed.
@@ -91,7 +93,7 @@ class Enrolled:
     attempts: dict[int, Attempt] = field(default_factory=dict)
     excluded: str = ""
     paused: str = ""
-    amends: bool = False
+    amends: datetime | None = None
     granted: int = 0
     used: Counter[date] = field(default_factory=Counter)
     failed: int = 0
@@ -126,22 +128,24 @@ class Enrolled:
         return [one for one in self.current.values() if one.state == "waiting"]
 
     def standing(self, until: datetime | None = None) -> Iterator[tuple[Attempt, Attempt]]:
-        """Yield each attempt that is over and was neither withdrawn nor replaced by one that is over, after
-        the attempt in whose place it stands: itself, or the first of those that were run again.
+        """Yield each attempt that is over and was not replaced by one that is over, after the attempt in
+        whose place it stands: itself, or the first of those that were run again. None of them was withdrawn.
 
         Args:
-            until: later attempts are not over yet; None for no limit.
+            until: what was over or withdrawn later is not yet; None for no limit.
         """
         last: dict[int, Attempt] = {}
+        withdrawn: set[int] = set()
         for one in self.attempts.values():
             root = one
             while root.instead:
                 root = self.attempts[root.instead]
             if one.state == "over" and (until is None or (one.ended or one.requested) <= until):
                 last[root.number] = one
-        for number in sorted(last):
-            if not last[number].withdrawn:
-                yield self.attempts[number], last[number]
+            if one.withdrawn is not None and (until is None or one.withdrawn <= until):
+                withdrawn.add(root.number)
+        for number in sorted(last.keys() - withdrawn):
+            yield self.attempts[number], last[number]
 
 
 @dataclass(slots=True)
@@ -153,7 +157,7 @@ class State:
         entrants: by name, in the order of their admission.
         paused: the reason why nothing is let play; empty if anything is.
         frozen: when the public board was frozen by an act; None if it was not, or was thawed.
-        thawed: whether it was thawed, which also overrules `Season.freeze`.
+        thawed: when it was thawed last, which also overrules a `Season.freeze` of before; None if never.
         closed: when the season was closed; None if it was not.
         announcements: oldest first.
         count: number of acts.
@@ -163,7 +167,7 @@ class State:
     entrants: dict[str, Enrolled] = field(default_factory=dict)
     paused: str = ""
     frozen: datetime | None = None
-    thawed: bool = False
+    thawed: datetime | None = None
     closed: datetime | None = None
     announcements: list[Act] = field(default_factory=list)
     count: int = 0
@@ -191,13 +195,16 @@ class State:
                 is_name(one.subject) and one.alias.isprintable() and "/" not in one.alias
             ):
                 raise ExperimentError(f"the journal admits {one.subject!r:.80}, which cannot be a name")
+            case journal.ENROL if (had := self.entrants.get(one.subject)) and had.key == one.id != "":
+                had.act = replace(had.act, token=one.token)
             case journal.ADD | journal.ENROL if one.subject in self.entrants:
                 raise ExperimentError(f"the journal admits {one.subject:.80} twice")
             case journal.ENTER | journal.ADD | journal.ENROL:
                 self.entrants[one.subject] = Enrolled(one)
-            case journal.FREEZE | journal.THAW:
-                self.thawed = one.act == journal.THAW
-                self.frozen = None if self.thawed else one.when
+            case journal.FREEZE:
+                self.frozen = one.when
+            case journal.THAW:
+                self.frozen, self.thawed = None, one.when
             case journal.ANNOUNCE:
                 self.announcements.append(one)
             case journal.CHANGE:
@@ -220,7 +227,7 @@ class State:
                 self.entrant(one.subject).granted += one.number
             case journal.PAUSE:
                 entrant = self.entrant(one.subject)
-                entrant.paused, entrant.amends = one.reason, one.number > 0
+                entrant.paused, entrant.amends = one.reason, one.when if one.number else None
             case journal.RESUME:
                 entrant = self.entrant(one.subject)
                 entrant.paused, entrant.failed = "", 0
@@ -276,10 +283,11 @@ class State:
 
     def frozen_at(self, now: datetime) -> datetime | None:
         """Return since when the public board is frozen; None if it is not."""
-        if self.closed is not None or self.thawed:
+        if self.closed is not None:
             return None
-        freeze = self.season.freeze
-        return freeze if self.frozen is None and freeze is not None and freeze <= now else self.frozen
+        freeze, thawed = self.season.freeze, self.thawed
+        planned = freeze is not None and freeze <= now and (thawed is None or thawed < freeze)
+        return freeze if self.frozen is None and planned else self.frozen
 
     def _queue(self, one: Act) -> None:
         entrant = self.entrant(one.subject)
@@ -320,7 +328,7 @@ class State:
                 new = replace(was, state="over", ended=one.when, why=one.reason)
                 entrant.failed = entrant.failed + 1 if one.reason else 0
             case journal.WITHDRAW:
-                new = replace(was, withdrawn=True)
+                new = replace(was, withdrawn=one.when)
             case _:
                 state: AttemptState = "ours" if one.act == journal.OURS else "cancelled"
                 new = replace(was, state=state, ended=one.when, why=one.reason)

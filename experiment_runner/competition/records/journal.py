@@ -54,8 +54,9 @@ _BLOCK: Final = 2**16
 class Act:
     """One act.
 
-    The subject of most acts is an entrant: `enter` at the start, `add` late, `enrol` by itself; `exclude` and
-    `readmit`; `pause` and `resume`, also of `EVERYBODY`; `grant` of further attempts; `image`, a new one.
+    The subject of most acts is an entrant: `enter` at the start, `add` late, `enrol` by itself, or to get its
+    `token` if it was admitted with a key; `exclude` and `readmit`; `pause` and `resume`, also of `EVERYBODY`;
+    `grant` of further attempts; `image`, a new one.
 
     In a season, an attempt is named by its entrant and its number: `request` queues it, `start` lets it play,
     `over` says that every trial of it was played and verified. `ours` ends one for a reason that is not the

@@ -322,7 +322,7 @@ class _Board:
     Args:
         facts: that it is made of.
         told: whether they may know the scores of hidden tasks.
-        until: when attempts were over that they may know of; None for no limit.
+        until: when attempts were over, or withdrawn, that they may know of; None for no limit.
     """
 
     def __init__(self, facts: _Facts, told: bool, until: datetime | None) -> None:
@@ -458,11 +458,10 @@ class _Board:
             _text(one.ended),
             place=self._queue.get((one.entrant, one.number), 0),
             instead=one.instead,
-            withdrawn=one.withdrawn,
+            withdrawn=one.withdrawn is not None and (knows or self._is_known(one.withdrawn)),
             why=one.why if knows else "",
         )
-        unseen = self._until is not None and one.ended is not None and one.ended > self._until
-        if one.state != "over" or (unseen and not knows):
+        if one.state != "over" or not (knows or self._is_known(one.ended or one.requested)):
             return row
         played = self._facts.played[one.entrant, one.number]
         if not played.verified:
@@ -481,6 +480,10 @@ class _Board:
                 if lost.task in self._tasks
             ),
         )
+
+    def _is_known(self, time: datetime) -> bool:
+        """Return whether others may know what was at this time."""
+        return self._until is None or time <= self._until
 
     def _by_task(self, scores: FloatArray) -> dict[str, float]:
         return {task: float(np.mean(row)) for task, row in zip(self._tasks, scores, strict=True)}

@@ -43,7 +43,7 @@ def next_attempts(
         now: the time.
         ready: whether an attempt can play; others are passed over.
     """
-    if state.paused or state.closed is not None or now < state.season.opens:
+    if state.paused or now < state.season.opens:
         return []
     playing = {one.entrant for one in state.attempts("playing")}
     chosen: dict[str, Attempt] = {}
@@ -61,9 +61,14 @@ def left(state: State, entrant: Enrolled, now: datetime) -> int:
 
 def returns_at(state: State, now: datetime) -> datetime | None:
     """Return when attempts are charged to the next day; None if the season closes before."""
-    today = now.astimezone(state.season.days).date()
-    midnight = datetime.combine(today + timedelta(days=1), time(), state.season.days)
+    midnight = day_after(state, now)
     return midnight if midnight < state.season.closes else None
+
+
+def day_after(state: State, when: datetime) -> datetime:
+    """Return when the day after that of a time begins, in the time zone of the season."""
+    day = when.astimezone(state.season.days).date() + timedelta(days=1)
+    return datetime.combine(day, time(), state.season.days)
 
 
 def check_not_over(state: State, now: datetime) -> None:

@@ -63,6 +63,9 @@ _LOOK_SECONDS: Final = 1.0
 _ABSENT_SECONDS: Final = 60.0
 """Time after which the waiting attempt of a program that no longer asks for it is cancelled."""
 
+_RERUN_SECONDS: Final = 7 * 86_400.0
+"""The same for one that the organiser has queued, of which its owner is to learn first."""
+
 _PRESENT_SECONDS: Final = 15.0
 """Time for which a program that has asked counts as present, so that its attempt may be let play."""
 
@@ -231,8 +234,8 @@ class Server(Matches):
 
     @property
     def over(self) -> bool:
-        """Whether the season is closed, and what was played is over."""
-        return self._state.closed is not None and not self._slots
+        """Whether the season is closed, and what was played is over, also if it had to start again."""
+        return self._state.closed is not None and not self._state.attempts("waiting", "playing")
 
     @property
     def may_end(self) -> bool:
@@ -275,7 +278,7 @@ class Server(Matches):
                 return self._attempt(name, number)
             case control.Key(name):
                 entrant = self._state.entrants.get(name)
-                return {"key": None if entrant is None or entrant.excluded else entrant.key or None}
+                return {"key": None if entrant is None else entrant.key or None}
             case control.Withdraw(name, number):
                 return self._withdraw(name, number)
             case control.Submit():
@@ -290,9 +293,30 @@ class Server(Matches):
         return {"acts": [line_of(one) for one in acts]}
 
     def _enrol(self, wanted: control.Enrol) -> Reply:
+        try:
+            key = encode(decode_key(wanted.key))
+        except ValueError:
+            raise ExperimentError("the key is not a public key, as glue-keys makes it") from None
         season, name = self._state.season, wanted.name
-        if season.enrol == "closed" or self._gate is None:
+        known = self._state.entrants.get(name)
+        is_new = known is None or known.key != key
+        if self._gate is None or (is_new and season.enrol == "closed"):
             raise ExperimentError("enrolment is closed: ask the organiser")
+        token = base64.urlsafe_b64encode(derived(self._secret, "token", name)[:18]).decode()
+        more = {"id": key, "token": hashlib.sha256(token.encode()).hexdigest()}
+        if is_new:
+            self._check_new(wanted, key)
+            taken = {one.act.alias for one in self._state.entrants.values()}
+            alias = pseudonym(name, self._secret, taken)
+            self._act(journal.ENROL, name, "", player=f"{name}.key", alias=alias, team=wanted.team, **more)
+        elif not self._state.entrants[name].act.token:  # the organiser has admitted it
+            self._act(journal.ENROL, name, "", **more)
+        hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
+        shown = name if season.names == "own" else self._state.entrants[name].act.alias
+        return {"hub_key": hub_key, "token": token, "alias": shown}
+
+    def _check_new(self, wanted: control.Enrol, key: str) -> None:
+        season, name = self._state.season, wanted.name
         schedule.check_not_over(self._state, self._now())
         if season.enrol == "code" and not (
             self._code and hmac.compare_digest(self._code.encode(), wanted.code.encode())
@@ -302,28 +326,12 @@ class Server(Matches):
             raise ExperimentError(f"{name!r:.80} cannot be a name: {NAMES}")
         if wanted.team and not (season.teams and is_name(wanted.team)):
             raise ExperimentError(f"there are no teams, or {wanted.team!r:.80} cannot be the name of one")
-        try:
-            key = encode(decode_key(wanted.key))
-        except ValueError:
-            raise ExperimentError("the key is not a public key, as glue-keys makes it") from None
-        token = base64.urlsafe_b64encode(derived(self._secret, "token", name)[:18]).decode()
-        known = self._state.entrants.get(name)
-        if known is None or known.key != key:
-            self._check_new(name, key)
-            digest = hashlib.sha256(token.encode()).hexdigest()
-            taken = {one.act.alias for one in self._state.entrants.values()}
-            more = {"alias": pseudonym(name, self._secret, taken), "team": wanted.team, "token": digest}
-            self._act(journal.ENROL, name, "", player=f"{name}.key", id=key, **more)
-        hub_key = encode(read_public(self._gate.keys / f"{HUB}{PUBLIC}", "keys"))
-        return {"hub_key": hub_key, "token": token, "alias": self._state.entrants[name].act.alias}
-
-    def _check_new(self, name: str, key: str) -> None:
         others = self._state.entrants.values()
         if any(one.name.casefold() == name.casefold() for one in others):
             raise ExperimentError(f"the name {name} is taken: choose another")
         if any(one.key == key for one in others):
             raise ExperimentError("the owner of this key takes part already, under another name")
-        if len(others) >= self._state.season.most_entrants:
+        if len(others) >= season.most_entrants:
             raise ExperimentError(
                 f"{len(others)} take part, and there is no room for more: ask the organiser"
             )
@@ -396,11 +404,14 @@ class Server(Matches):
         return self._boards
 
     def _withdraw(self, name: str, number: int) -> Reply:
+        self._state.taking_part(name)
         one = self._state.attempt(name, number)
         if one.state == "playing":
             raise ExperimentError(f"attempt {number} is played: it can be withdrawn when it is over")
         if one.withdrawn or one.state in ("ours", "cancelled"):
             raise ExperimentError(f"attempt {number} does not count anyway")
+        if one.instead and one.state == "waiting":
+            raise ExperimentError(f"the organiser has had attempt {one.instead} run again, as {number}")
         kind, count = journal.CANCEL if one.state == "waiting" else journal.WITHDRAW, self._state.season.count
         if kind == journal.WITHDRAW and count != "best":
             which = "the last attempt counts" if count == "last" else "all attempts count"
@@ -440,7 +451,7 @@ class Server(Matches):
         for one in acts:
             self._course.acts.append(one)
             self._state.apply(one)
-            if one.act == journal.REQUEST:
+            if one.act in (journal.REQUEST, journal.RERUN):
                 self._queued[one.subject] = self._clock()
             self._say(one.line)
         for slot in list(self._slots.values()):
@@ -461,8 +472,13 @@ class Server(Matches):
         for one in state.attempts("waiting"):
             name = one.entrant
             asked = max(self._seen.get(name, self._began), self._queued.get(name, self._began))
-            if not one.instead and self._has_key(name) and clock - asked > _ABSENT_SECONDS:
+            patience = _RERUN_SECONDS if one.instead and state.closed is None else _ABSENT_SECONDS
+            if self._has_key(name) and clock - asked > patience:
                 self._act(journal.CANCEL, name, "its program has stopped asking for it", number=one.number)
+        for name, entrant in state.entrants.items():
+            since = entrant.amends if entrant.paused and self._has_key(name) else None
+            if since is not None and now >= schedule.day_after(state, since):
+                self._act(journal.RESUME, name, "a new day has begun")
         if state.closed is None and state.season.opens <= now < state.season.closes:
             for name in self._named:
                 entrant = state.entrants[name]
@@ -557,6 +573,9 @@ class Server(Matches):
         entrant = self._state.entrants[name]
         if entrant.failed >= most and not entrant.paused and self._state.closed is None:
             why = f"it has forfeited {most} attempts in a row, the last in {slot.forfeit}"
+            if self._has_key(name):
+                until = schedule.day_after(self._state, self._now())
+                why += f"; until {until}, or until the organiser resumes it"
             self._act(journal.PAUSE, name, why, number=most)
 
     def _fail(self, slot: _Slot, why: str) -> None:
@@ -572,7 +591,7 @@ class Server(Matches):
         failed = ended.index("over") if "over" in ended else len(ended)
         self._rests[slot.number] = self._clock() + _REST_SECONDS
         self._rests[name] = self._clock() + _REST_SECONDS * 2 ** min(failed, _MOST_DOUBLED)
-        self._record(ours, *([] if self._state.closed else [again]))
+        self._record(ours, again)
 
     def _leave(self, slot: _Slot) -> None:
         """Take the slot from an attempt that is no longer played."""

@@ -130,7 +130,8 @@ def rules_of(competition: Competition, season: Season) -> list[str]:
         f"{limits.bank_seconds:g} s for a trial. {limits.start_seconds:g} s to connect, "
         f"{limits.total_seconds:g} s for all answers of a trial.",
         "An attempt that fails for a reason that is not the entrant's costs none, and is played again.",
-        f"An entrant that forfeits {season.failures} attempts in a row is paused until it changes something.",
+        f"An entrant that forfeits {season.failures} attempts in a row is paused until the next day"
+        + (", with an image until it submits another." if season.images else "."),
         "Every score was verified: its actions were played again, and paid the same rewards.",
         f"At most {season.most_entrants:,} entrants"
         + (f", and {season.most_bytes / _BYTES_OF_GIB:.3g} GiB for an image." if season.images else ".")

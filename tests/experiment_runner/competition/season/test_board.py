@@ -73,13 +73,14 @@ def test_what_was_withdrawn_excluded_ours_or_not_verified_does_not_count(made: M
     made.attempt("ann", 1.0)
     made.attempt("ann", 9.0)
     made.act(journal.WITHDRAW, "ann", number=2)
+    made.attempt("ann", 8.0, instead=2)
     assert made.rows()["ann"].score == 1.0
-    made.act(journal.REQUEST, "ann", number=3)
-    made.act(journal.START, "ann", number=3)
-    made.act(journal.OURS, "ann", "the disk was full", number=3)
-    assert made.rows()["ann"].counts == {"verified": 2, "ours": 1}
-    assert made.rows()["ann"].attempts[2].why == ""
-    assert made.rows("ann")["ann"].attempts[2].why == "the disk was full"
+    made.act(journal.REQUEST, "ann", number=4)
+    made.act(journal.START, "ann", number=4)
+    made.act(journal.OURS, "ann", "the disk was full", number=4)
+    assert made.rows()["ann"].counts == {"verified": 3, "ours": 1}
+    assert made.rows()["ann"].attempts[3].why == ""
+    assert made.rows("ann")["ann"].attempts[3].why == "the disk was full"
     made.attempt("bob", 3.0)
     made.act(journal.EXCLUDE, "bob", "it read mail")
     assert made.rows()["bob"].missing == "excluded: it read mail"
@@ -118,7 +119,9 @@ def test_a_frozen_board_changes_for_the_organiser_alone(made: Made) -> None:
     made.attempt("ann", 1.0)
     made.act(journal.FREEZE)
     made.attempt("bob", 2.0)
+    made.act(journal.WITHDRAW, "ann", number=1)
     assert [(row.shown, row.place) for row in made.board().entrants][:2] == [("ann", 1), ("bob", None)]
+    assert [made.rows(who)["ann"].attempts[0].withdrawn for who in ("", "bob", "ann")] == [False, False, True]
     assert made.rows()["bob"].counts == {"over": 1}
     assert made.board().frozen
     assert made.rows("bob")["bob"].attempts[0].score == 2.0
@@ -129,6 +132,21 @@ def test_a_frozen_board_changes_for_the_organiser_alone(made: Made) -> None:
     made.act(journal.FREEZE)
     made.act(journal.CLOSE)
     assert not made.board().frozen
+
+
+def test_a_planned_freeze_begins_whatever_was_thawed_before() -> None:
+    made = Made(["ann"], FILE.replace("[season]", "[season]\nfreeze = 2026-12-10T00:00:00Z"))
+    for day, kinds, frozen in (
+        (2, (), ""),
+        (3, (journal.FREEZE, journal.THAW), ""),
+        (11, (), "2026-12-10T00:00:00Z"),
+        (12, (journal.THAW,), ""),
+        (13, (journal.FREEZE,), "2026-12-13T09:01:00Z"),
+    ):
+        made.now = made.now.replace(day=day, minute=0)
+        for kind in kinds:
+            made.act(kind)
+        assert made.board().frozen == frozen
 
 
 def test_pseudonyms_and_reasons_are_for_the_owner_and_the_organiser() -> None:

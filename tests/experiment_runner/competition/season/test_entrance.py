@@ -59,6 +59,9 @@ def test_strangers_and_posers_do_not_reach_the_server(entrance: Entrance) -> Non
         entrance.headers(what="withdraw"),
     ):
         assert entrance.ask(headers=headers).status == 403, headers
+    posing = [{**entrance.headers(pair=new_pair()), "Glue-Entrant": name} for name in ("alice", "bob")]
+    known, unknown = (entrance.ask(headers=headers).json() for headers in posing)
+    assert known == unknown  # which names there are is not told
     assert not entrance.asked
 
 

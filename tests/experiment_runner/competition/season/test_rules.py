@@ -83,6 +83,10 @@ def test_changes_of_the_rules_are_acts_and_others_are_refused_by_name() -> None:
         (", hidden = true", "", "phases"),
         ("episodes = 1", "episodes = 2", "episodes or steps"),
         ("[season]", "[limits]\ncpus = 2\n[season]", "limits"),
+        ('final = { env = "skeleton"', 'final = { env = "walk.py:Walk"', "env"),
+        ("final = {", "final = { options = { size = 7 },", "options"),
+        ("final = {", 'final = { levels = ["a.txt"],', "levels"),
+        ("final = {", "final = { max_steps = 9,", "max_steps"),
     ):
         other = parse_competition(FILE.replace(old, new), Path("spring.toml"))
         with pytest.raises(ExperimentError, match=f"begun with other {what}: put back"):

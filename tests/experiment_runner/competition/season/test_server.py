@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from experiment_runner.competition.settings import Gate
 from experiment_runner.store.layout import DirectoryTaken
 from glue.client.libzmq import new_pair
 from glue.errors import ConfigError, ExperimentError
-from glue.keys.certificates import encode
+from glue.keys.certificates import encode, write_pair
 from tests.experiment_runner.competition.players import Walker
 from tests.experiment_runner.competition.season.inside import CODE, FILE, SECRET, Absent, Raising, Season
 
@@ -136,7 +137,7 @@ def test_nothing_is_played_without_end_nor_costs_anything_of_the_day_after(seaso
     season.refuses(Attempt("alice"), "has used its 3 attempts")
 
 
-def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(season: Season) -> None:
+def test_one_that_fails_again_and_again_is_paused_until_the_next_day(season: Season) -> None:
     for agent in (Raising(), Walker(), Raising()):
         season.attempt("alice", agent)
     assert season.state.entrants["alice"].paused == ""
@@ -144,30 +145,42 @@ def test_one_that_fails_again_and_again_is_paused_until_it_changes_something(sea
     season.attempt("alice")
     paused = season.state.entrants["alice"].paused
     assert paused.startswith("it has forfeited 2 attempts in a row, the last in mines, trial 0: ")
-    season.refuses(Attempt("alice"), "alice is paused: it has forfeited")
+    until = r"; until 2026-12-03 00:00:00\+00:00, or until the organiser resumes it"
+    season.refuses(Attempt("alice"), f"alice is paused: it has forfeited .*{until}")
     season.act("resume", "alice")
+    for _ in range(2):
+        season.attempt("alice")
+    assert season.state.entrants["alice"].paused
+    season.days(0.7)  # a new day has begun
+    season.later(5)
     season.attempt("alice", Walker())
     assert season.state.entrants["alice"].failed == 0
 
 
 def test_nobody_is_paused_for_the_final_by_an_attempt_that_ends_after_the_season(season: Season) -> None:
     season.attempt("alice", Raising())
+    season.executor.agents["alice"] = "the disk is on fire"
     season.ask(Attempt("alice"))
     season.act("close")
     season.turns()
-    assert season.states("alice") == {1: "over", 2: "over"}
+    assert season.states("alice") == {1: "over", 2: "ours", 3: "waiting"}
+    assert not season.server.over
+    season.executor.agents["alice"] = Raising()
+    season.later(20, "alice")
+    assert season.states("alice") == {1: "over", 2: "ours", 3: "over"}
+    assert season.server.over
     assert season.course.paused == {}
 
 
 def test_an_exclusion_takes_effect_at_once_and_can_be_taken_back(season: Season) -> None:
     season.attempt("alice", None)
     assert set(season.executor.jobs) == {"alice/mines/0"}
-    assert season.ask(Key("alice"))["key"]
     season.act("exclude", "alice")
     assert not season.executor.jobs
     assert season.states("alice") == {1: "ours"}
-    assert season.ask(Key("alice")) == season.ask(Key("nobody")) == {"key": None}
-    for refused in (Attempt("alice"), Organise("rerun", "alice", why="because")):
+    assert season.ask(Key("alice"))["key"]  # so that it is told why
+    assert season.ask(Key("nobody")) == {"key": None}
+    for refused in (Attempt("alice"), Withdraw("alice", 1), Organise("rerun", "alice", why="because")):
         season.refuses(refused, "alice is excluded: because")
     season.act("readmit", "alice")
     season.attempt("alice", Walker())
@@ -181,9 +194,14 @@ def test_an_attempt_is_run_again_at_no_cost_when_its_program_is_there(season: Se
     assert season.act("rerun", "alice", number=2)
     season.later(1000)
     assert season.states("alice")[4] == "waiting"
+    season.refuses(Withdraw("alice", 4), "the organiser has had attempt 2 run again")
+    season.seconds += 7 * 86400
+    season.turns()
+    assert season.states("alice")[4] == "cancelled"
+    season.act("rerun", "alice", number=2)
     season.attempt("alice")
-    assert season.state.attempt("alice", 4).instead == 2
-    assert season.states("alice")[4] == "over"
+    assert season.state.attempt("alice", 5).instead == 2
+    assert season.states("alice")[5] == "over"
 
 
 def test_a_restart_goes_on_where_it_was(season: Season) -> None:
@@ -277,6 +295,24 @@ def test_who_cannot_enrol_is_told_why(season: Season, wanted: dict[str, str], wh
     assert season.ask(carol) == joined  # a reply may have been lost
     other = {"name": "bob", "key": encode(new_pair().public), "code": CODE}
     season.refuses(Enrol(**{**other, **wanted}), why)
+
+
+def test_one_of_the_file_joins_with_its_key_though_nobody_can_enrol(tmp_path: Path) -> None:
+    pair = new_pair()
+    write_pair(tmp_path, "zo", pair)
+    closed = FILE.replace('enrol = "code"', 'enrol = "closed"\nnames = "own"')
+    season = Season(tmp_path, closed + '[entrants.zo]\nkey = "zo.key"\n')
+    with season.stack:
+        zo = Enrol("zo", encode(pair.public))
+        joined = season.ask(zo)
+        assert joined["alias"] == "zo"
+        assert hashlib.sha256(joined["token"].encode()).hexdigest() == season.state.entrants["zo"].act.token
+        season.restart()
+        assert season.ask(zo) == joined
+        season.attempt("zo")
+        assert season.states("zo") == {1: "over"}
+        for name in ("zo", "alice"):
+            season.refuses(Enrol(name, encode(new_pair().public)), "enrolment is closed")
 
 
 def test_an_owner_withdraws_what_is_over_or_waits(season: Season) -> None:
