@@ -8,8 +8,8 @@ stranger wrote the file. Images with which nobody plays any more leave the engin
 
 The engine would load whatever is in such a file: several images, under any name, so that one of this machine
 would mean another image afterwards; a layer that is small and unpacks to terabytes; a sparse file. So it gets
-a new tar, with one image that has no name, of which every byte and file has been counted. What Python and the
-engine might read differently is refused, so that both count the same.
+a new tar, with one image that has no name, of which every byte and file has been counted. What an engine
+might read differently is refused, so that both count the same.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import io
 import json
 import platform
 import posixpath
+import re
 import resource
 import sys
 import tarfile
@@ -28,8 +29,9 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import timedelta
+from itertools import takewhile
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Final, Self, cast
+from typing import IO, Any, BinaryIO, Final, cast
 
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.jail import check_image
@@ -56,10 +58,38 @@ _NEW_SECONDS: Final = 3600.0
 """Age until which an image stays in the engine although nobody plays with it: it may be about to."""
 
 _PIECE: Final = 2**16
-_HEAD: Final = 8
 _GZIP: Final = b"\x1f\x8b"
-_OTHERS: Final = (b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")
-"""First bytes of the other compressions that an engine knows, which are not counted here."""
+_COMPRESSED: Final = (
+    *(_GZIP, b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"),
+    *(bytes([first]) + b"\x2a\x4d\x18" for first in range(0x50, 0x60)),  # what decoders of zstd skip
+)
+"""First bytes of the compressions that engines know; only one layer of gzip is counted here."""
+
+_UNIT: Final = 512
+_HEADER: Final = re.compile(
+    rb"(.{100}).{24}([0-7]{11})[\0 ].{20}([0-6xLK]).{100}"
+    rb"ustar(?:\0.{82}(.{155})\0{12}|  \0.{80}\0{167})",
+    re.DOTALL,
+)
+"""A header of a layer: the member's name, size and kind, and the folder of its name.
+
+Of what tars may have, this is what all programs read alike. It excludes sparse files, global headers, kinds
+that have data for one program and none for another, and sizes in other forms, such as those of 8 GiB or more.
+"""
+
+_EXTENSIONS: Final = (b"x", b"L", b"K", b"LK", b"KL")
+"""Kinds of headers that may come before another: PAX's, or GNU's long name and long target of a link."""
+
+_AMBIGUOUS: Final = (
+    "it is no tar, or has a sparse file, a global header or another that programs read differently"
+)
+
+_RECORD: Final = re.compile(rb"([0-9]{1,7}) ([^=]+)=")
+_SIZES: Final = (b"size", b"GNU.sparse.")
+"""Prefixes of the keys with which PAX changes a size."""
+
+_COPIED: Final = b".wh..wh.plnk"
+"""A folder of AUFS: engines make a copy, not a link, of every hard link to a file in it."""
 
 _WRONG: Final = (
     *(tarfile.TarError, zlib.error, EOFError, OSError),
@@ -75,25 +105,6 @@ _ARCHITECTURES: Final = {"x86_64": "amd64", "aarch64": "arm64"}
 
 class UnfitImage(ConfigError):
     """A file holds no image that can be loaded; the message says why."""
-
-
-class _Header(tarfile.TarInfo):
-    """A header of a layer.
-
-    `TarFile` takes the first header that it cannot read for the end, where the engine may go on. And the
-    engine skips zeros before a number, which Python takes for its end: a sparse file of gigabytes would have
-    no size here.
-    """
-
-    @classmethod
-    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
-        try:
-            found = super().frombuf(buf, encoding, errors)
-        except tarfile.InvalidHeaderError as error:  # type: ignore[attr-defined]
-            raise tarfile.ReadError(str(error)) from None
-        if found.type in (tarfile.GNUTYPE_SPARSE, tarfile.XGLTYPE) or found.size < 0:
-            raise UnfitImage("a layer has a sparse file or a global header: docker save writes none")
-        return found
 
 
 def copy_image(source: BinaryIO, target: BinaryIO, most: int) -> None:
@@ -193,40 +204,112 @@ def _unpacked(layer: IO[bytes], left: int, most: int) -> int:
         UnfitImage: they are more than `left`.
     """
     with _named("a layer"):
-        head = layer.read(_HEAD)
+        packed = layer.read(len(_GZIP)) == _GZIP
         layer.seek(0)
-        if head.startswith(_OTHERS):
-            raise UnfitImage("a layer is compressed, and not by gzip: docker save writes no such layers")
-        plain = cast("IO[bytes]", gzip.GzipFile(fileobj=layer)) if head.startswith(_GZIP) else layer
+        plain = cast("IO[bytes]", gzip.GzipFile(fileobj=layer)) if packed else layer
         content = _Bounded(plain, left, most)
         total = 0
-        with tarfile.open(fileobj=content, mode="r|", tarinfo=_Header) as files:
-            while (file := files.next()) is not None:
-                if file.issparse():  # as PAX writes it
-                    raise UnfitImage("a layer has a sparse file: docker save writes none")
-                total += _BLOCK + file.size
-                content.check(total)
-                files.members = []  # type: ignore[attr-defined]  # it would keep them all
+        before: list[bytes] = []
+        for path, size in _files(content):
+            # The engine makes the folders that are missing, too.
+            parts = posixpath.normpath(path).split(b"/")
+            shared = [*takewhile(lambda pair: pair[0] == pair[1], zip(before, parts, strict=False))]
+            total += _BLOCK * max(1, len(parts) - len(shared)) + size
+            content.check(total)
+            before = parts
         while content.read(_PIECE):
             pass  # the engine unpacks and keeps what follows the tar, too
-        return total
+        return max(total, content.count)
 
 
-class _Bounded(io.RawIOBase):
-    """The first `left` bytes of a file; reading on raises `UnfitImage`, which names `most`."""
+def _files(content: _Bounded) -> Iterator[tuple[bytes, int]]:
+    """Yield the path and the size of each member of a layer.
+
+    Raises:
+        ValueError: it is no tar, or has something that programs read differently.
+        EOFError: it ends too early.
+    """
+    path, extensions = b"", b""
+    block = content.read(_UNIT)
+    if block.startswith(_COMPRESSED):
+        raise ValueError("it is compressed, and not by gzip alone")
+    while block and block != bytes(_UNIT):
+        header = _HEADER.fullmatch(block)
+        if header is None or _COPIED in block:
+            raise ValueError(_AMBIGUOUS)
+        name, digits, kind, folder = header.groups()
+        size = int(digits, 8) if kind in b"0xLK" else 0
+        if kind in b"xLK":
+            extensions += kind
+            data = content.read(size)
+            if len(data) < size or extensions not in _EXTENSIONS or _COPIED in data:
+                raise ValueError(_AMBIGUOUS)
+            content.skip(-size % _UNIT)
+            if kind == b"x":
+                path = _path_of(data)
+            elif kind == b"L":
+                path = _text(data)
+        else:
+            yield path or b"/".join(filter(None, (_text(folder or b""), _text(name)))), size
+            path, extensions = b"", b""
+            content.skip(size + -size % _UNIT)
+        block = content.read(_UNIT)
+
+
+def _text(field: bytes) -> bytes:
+    return field.partition(b"\0")[0]
+
+
+def _path_of(records: bytes) -> bytes:
+    """Return the path that a header of PAX gives to its member; empty if it gives none.
+
+    Raises:
+        ValueError: it changes the size, or is not as PAX has it.
+    """
+    path = b""
+    at = 0
+    while at < len(records):
+        found = _RECORD.match(records, at)
+        end = at + int(found[1]) if found else 0
+        if not found or not found.end() < end <= len(records) or found[2].startswith(_SIZES):
+            raise ValueError(_AMBIGUOUS)
+        if found[2] == b"path":
+            path = records[found.end() : end - 1]
+        at = end
+    return path
+
+
+class _Bounded:
+    """The first `left` bytes of a file; reading on raises `UnfitImage`, which names `most`.
+
+    Attributes:
+        count: number of bytes that were read.
+    """
 
     def __init__(self, file: IO[bytes], left: int, most: int) -> None:
         self._file = file
         self._left = left
         self._most = most
-        self._count = 0
+        self.count = 0
 
-    def read(self, size: int = -1) -> bytes:
-        """Return at most `size` bytes, and no more than a piece."""
-        data = self._file.read(min(size, _PIECE) if size >= 0 else _PIECE)
-        self._count += len(data)
-        self.check(self._count)
+    def read(self, size: int) -> bytes:
+        """Return `size` bytes, or fewer at the end; no more than a piece."""
+        data = self._file.read(min(size, _PIECE))
+        self.count += len(data)
+        self.check(self.count)
         return data
+
+    def skip(self, size: int) -> None:
+        """Read `size` bytes.
+
+        Raises:
+            EOFError: there are fewer.
+        """
+        while size:
+            data = self.read(size)
+            if not data:
+                raise EOFError("it ends too early")
+            size -= len(data)
 
     def check(self, count: int) -> None:
         """Check a number of bytes."""
