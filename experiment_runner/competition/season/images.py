@@ -46,6 +46,7 @@ _MEMORY: Final = 2**31
 """Bytes of address space of the process."""
 
 _MANIFEST: Final = "manifest.json"
+_NO_CONFIG: Final = "its configuration is not that of an image"
 _MOST_MEMBERS: Final = 1_000
 _MOST_LAYERS: Final = 127  # of Docker's engine
 _MOST_JSON: Final = 2**22
@@ -126,10 +127,7 @@ def copy_image(source: BinaryIO, target: BinaryIO, most: int) -> None:
         name, layers = found[0].get("Config"), found[0].get("Layers")
         if not isinstance(name, str) or not isinstance(layers, list) or len(layers) > _MOST_LAYERS:
             raise UnfitImage(f"its {_MANIFEST} is not that of an image with up to {_MOST_LAYERS} layers")
-        config = _json(archive, members, name)
-        if not isinstance(config, dict) or not isinstance(config.get("config"), dict):
-            raise UnfitImage("its configuration is not that of an image")
-        _check_config(config)
+        _check_config(_json(archive, members, name))
         left = most
         with tarfile.open(fileobj=target, mode="w") as copy:
             names = [f"{number}.tar" for number in range(len(layers))]
@@ -143,7 +141,9 @@ def copy_image(source: BinaryIO, target: BinaryIO, most: int) -> None:
                 _add(copy, file, len(data), io.BytesIO(data))
 
 
-def _check_config(config: Mapping[str, Any]) -> None:
+def _check_config(found: object) -> None:
+    config = _folded(found)
+    settings = _folded(config.get("config"))
     wanted = _ARCHITECTURES.get(platform.machine(), platform.machine())
     system, processor = config.get("os"), config.get("architecture")
     if (system, processor) != ("linux", wanted):
@@ -151,7 +151,19 @@ def _check_config(config: Mapping[str, Any]) -> None:
             f"the image is for {one_line(f'{system}/{processor}', 40)}, and this machine is linux/{wanted}: "
             f"build it for the platform linux/{wanted}"
         )
-    check_image("uploaded", config["config"], 0)
+    if not isinstance(settings.get("volumes") or {}, dict):
+        raise UnfitImage(_NO_CONFIG)
+    check_image("uploaded", {key.capitalize(): value for key, value in settings.items()}, 0)
+
+
+def _folded(found: object) -> dict[str, Any]:
+    """Return an object of a configuration with its keys in lower case: engines take them in any."""
+    if not isinstance(found, dict):
+        raise UnfitImage(_NO_CONFIG)
+    folded = {key.casefold(): value for key, value in found.items()}
+    if len(folded) < len(found):
+        raise UnfitImage("its configuration has two keys that differ in case alone")
+    return folded
 
 
 def _members(archive: tarfile.TarFile) -> dict[str, tarfile.TarInfo]:
@@ -192,9 +204,17 @@ def _content(archive: tarfile.TarFile, members: Mapping[str, tarfile.TarInfo], n
 
 def _json(archive: tarfile.TarFile, members: Mapping[str, tarfile.TarInfo], name: str) -> Any:
     try:
-        return json.loads(_content(archive, members, name))
+        return json.loads(_content(archive, members, name), object_pairs_hook=_once)
     except (ValueError, RecursionError):
-        raise UnfitImage(f"its {one_line(name, 80)} is not JSON") from None
+        raise UnfitImage(f"its {one_line(name, 80)} is not JSON, or has a key twice") from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object in which each key is there once: an engine may take any of them, or join them."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError
+    return found
 
 
 def _unpacked(layer: IO[bytes], left: int, most: int) -> int:

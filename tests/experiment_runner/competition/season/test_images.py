@@ -223,6 +223,13 @@ def test_what_is_no_image_is_refused(files: dict[str, bytes | tarfile.TarInfo], 
     [
         (config(architecture="s390x"), "for the platform"),
         (config(config={"Cmd": ["a"], "Volumes": {"/data": {}}}), "VOLUME"),
+        (config(config={"Cmd": ["a"], "volumeſ": {"/data": {}}}), "VOLUME"),
+        (config(config={"Cmd": ["a"], "Volumes": 5}), "not that of an image"),
+        (config(Config={"Volumes": {"/data": {}}}), "in case alone"),
+        (
+            config(config={"Cmd": ["a"]}).replace(b'"os"', b'"config": {"Volumes": {"/data": {}}}, "os"'),
+            "twice",
+        ),
         (config(config={"Env": []}), "nothing to run"),
     ],
 )
