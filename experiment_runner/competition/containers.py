@@ -112,7 +112,8 @@ class Containers(Launcher):
             repository: for the name, without which `docker image prune` would remove the image.
 
         Raises:
-            ConfigError: there is no engine, or it does not take the file for an image.
+            ConfigError: there is no engine, or it does not take the file for an image, or only for one that
+                cannot be jailed, which `tidy` removes.
             ExperimentError: the engine has no room.
         """
         engine = self._engine
@@ -124,6 +125,7 @@ class Containers(Launcher):
         try:
             (image,) = _ask("load an image", load)
             image.tag(repository, image.id.rpartition(":")[2][:_SHORT_ID])
+            check_image("uploaded", image.attrs["Config"], 0)
         except (APIError, ImageNotFound, ValueError) as error:
             raise ConfigError(f"the engine does not take it for an image: {_in_short(error)}") from None
         return str(image.id)

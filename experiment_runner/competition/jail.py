@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from experiment_runner.competition.launching import SOCKET, Launch, variables
 from experiment_runner.competition.settings import Limits
+from glue.console import one_line
 from glue.errors import ConfigError, ExperimentError
 
 LABEL: Final = "glue.competition"
@@ -131,8 +132,9 @@ def check_image(image: str, settings: Mapping[str, Any], size: int) -> str | Non
     if not settings.get("Cmd") and not settings.get("Entrypoint"):
         raise ConfigError(f"the image {image} has nothing to run: add CMD to its Dockerfile")
     if settings.get("Volumes"):
+        volumes = one_line(", ".join(settings["Volumes"]), 80)
         raise ConfigError(
-            f"the image {image} declares a volume, {', '.join(settings['Volumes'])}, in which it could fill "
+            f"the image {image} declares a volume, {volumes}, in which it could fill "
             "this machine's disk: remove VOLUME from its Dockerfile; a jail can write to /tmp"
         )
     if size > _GIANT:

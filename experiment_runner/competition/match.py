@@ -38,7 +38,7 @@ from glue.trajectory import ActionWriter, Ending
 from glue.wire.messages import MAX_BODY, Event, Role
 
 NOT_CONNECTED: Final = "it did not connect within"
-"""Begin of the reason if an entrant never joins."""
+"""Begin of the reason if an entrant never joins, or has left and does not join again."""
 
 _LOOK_SECONDS: Final = 0.2
 """Maximum delay in noticing the end of an entrant's program."""
@@ -157,7 +157,7 @@ class _Playing:
             made_for(match.spec), self._record, match.spec, lambda result: send(Recorded(result, None))
         )
         self._running = Running()
-        self._joined = threading.Event()
+        self._absent_since: float | None = None  # None while its agent is there
         self._over = threading.Event()
 
     def play(self, launcher: Launcher) -> str | None:
@@ -186,6 +186,7 @@ class _Playing:
                 transport = InsideTransport(hub, {Role.ENVIRONMENT: self._environment}, session)
                 glue = joined.enter_context(connect_over(transport, session, on_notice=self._notice))
                 running = self._running = launcher.start(match.entrant, match.limits, launch)
+                self._absent_since = self._clock()
                 stack.callback(running.stop)
                 joined.callback(self._over.set)
                 threading.Thread(
@@ -249,17 +250,18 @@ class _Playing:
             played.end(Ending.CUTOFF)
 
     def _notice(self, event: Event, role: Role, name: str) -> None:
-        if role is Role.AGENT and event is Event.JOINED:
-            self._joined.set()
+        if role is Role.AGENT and event in (Event.JOINED, Event.RETURNED):
+            self._absent_since = None
+        elif role is Role.AGENT and event is Event.LOST:
+            self._absent_since = self._clock()
 
     def _watch(self, running: Running, glue: RemoteExperiment) -> None:
-        """Watch, in a separate thread, for the end of the entrant's program, and for one that never joins."""
+        """Watch, in a separate thread, for the end of the entrant's program, and for one that stays away."""
         limit = self._match.limits.start_seconds
-        began = self._clock()
         while not self._over.is_set():
             if running.wait(_LOOK_SECONDS):
                 why = f"its program {running.reason}"
-            elif not self._joined.is_set() and self._clock() - began > limit:
+            elif (since := self._absent_since) is not None and self._clock() - since > limit:
                 why = f"{NOT_CONNECTED} {limit:g} s"
             else:
                 continue

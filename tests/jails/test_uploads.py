@@ -10,9 +10,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from experiment_runner.competition.containers import Containers
 from experiment_runner.competition.launching import name_of_run
 from experiment_runner.competition.season.images import MODULE
+from glue.errors import ConfigError
 
 
 def uploaded(path: Path, most: int = 2**30) -> dict[str, str]:
@@ -54,6 +57,18 @@ def test_an_upload_that_would_be_too_large_never_reaches_the_engine(
     before = len(engine.images.list(all=True))
     assert "too large" in uploaded(saved, 2**20)["error"]
     assert len(engine.images.list(all=True)) == before
+
+
+def test_an_image_is_judged_by_what_the_engine_has_read(
+    engine: Any, image: Callable[..., str], tmp_path: Path
+) -> None:
+    saved = tmp_path / "image.tar"
+    tag = image("VOLUME /data", "CMD id")
+    subprocess.run(["docker", "save", "--output", str(saved), tag], check=True, timeout=60)
+    with saved.open("rb") as file, pytest.raises(ConfigError, match="VOLUME"):
+        Containers().load(file, "glue-season/test")
+    Containers().tidy("glue-season/test", (), datetime.now(UTC) + timedelta(hours=1))
+    assert not engine.images.list(name="glue-season/test")
 
 
 def test_images_with_which_nobody_plays_leave_the_engine(engine: Any, image: Callable[..., str]) -> None:

@@ -8,8 +8,8 @@ stranger wrote the file. Images that are no longer played are removed from the e
 
 The engine would load whatever is in such a file: several images, under any name, so that one of this machine
 would mean another image afterwards; a layer that is small and unpacks to terabytes; a sparse file. So it gets
-a new tar, with one image that has no name, of which every byte and file has been counted. What Python and the
-engine might read differently is refused, so that both count the same.
+a new tar, with one image that has no name, of which every byte and file has been counted. What an engine
+might read differently is refused, so that both count the same.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import io
 import json
 import platform
 import posixpath
+import re
 import resource
 import sys
 import tarfile
@@ -28,8 +29,9 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import timedelta
+from itertools import takewhile
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Final, Self, cast
+from typing import IO, Any, BinaryIO, Final, cast
 
 from experiment_runner.competition.course import course_of
 from experiment_runner.competition.jail import check_image
@@ -44,6 +46,7 @@ _MEMORY: Final = 2**31
 """Bytes of address space of the process."""
 
 _MANIFEST: Final = "manifest.json"
+_NO_CONFIG: Final = "its configuration is not that of an image"
 _MOST_MEMBERS: Final = 1_000
 _MOST_LAYERS: Final = 127  # of Docker's engine
 _MOST_JSON: Final = 2**22
@@ -56,10 +59,38 @@ _NEW_SECONDS: Final = 3600.0
 """Age until which an image that is not played stays in the engine: it may be about to be played."""
 
 _PIECE: Final = 2**16
-_HEAD: Final = 8
 _GZIP: Final = b"\x1f\x8b"
-_OTHERS: Final = (b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")
-"""First bytes of the other compressions that an engine knows, which are not counted here."""
+_COMPRESSED: Final = (
+    *(_GZIP, b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"),
+    *(bytes([first]) + b"\x2a\x4d\x18" for first in range(0x50, 0x60)),  # what decoders of zstd skip
+)
+"""First bytes of the compressions that engines know; only one layer of gzip is counted here."""
+
+_UNIT: Final = 512
+_HEADER: Final = re.compile(
+    rb"(.{100}).{24}([0-7]{11})[\0 ].{20}([0-6xLK]).{100}"
+    rb"ustar(?:\0.{82}(.{155})\0{12}|  \0.{80}\0{167})",
+    re.DOTALL,
+)
+"""A header of a layer: the member's name, size and kind, and the folder of its name.
+
+Of what tars may have, this is what all programs read alike. It excludes sparse files, global headers, kinds
+that have data for one program and none for another, and sizes in other forms, such as those of 8 GiB or more.
+"""
+
+_EXTENSIONS: Final = (b"x", b"L", b"K", b"LK", b"KL")
+"""Kinds of headers that may come before another: PAX's, or GNU's long name and long target of a link."""
+
+_AMBIGUOUS: Final = (
+    "it is no tar, or has a sparse file, a global header or another that programs read differently"
+)
+
+_RECORD: Final = re.compile(rb"([0-9]{1,7}) ([^=]+)=")
+_SIZES: Final = (b"size", b"GNU.sparse.")
+"""Prefixes of the keys with which PAX changes a size."""
+
+_COPIED: Final = b".wh..wh.plnk"
+"""A folder of AUFS: engines make a copy, not a link, of every hard link to a file in it."""
 
 _WRONG: Final = (
     *(tarfile.TarError, zlib.error, EOFError, OSError),
@@ -75,25 +106,6 @@ _ARCHITECTURES: Final = {"x86_64": "amd64", "aarch64": "arm64"}
 
 class UnfitImage(ConfigError):
     """A file holds no image that can be loaded; the message says why."""
-
-
-class _Header(tarfile.TarInfo):
-    """A header of a layer.
-
-    `TarFile` takes the first header that it cannot read for the end, where the engine may read on. And the
-    engine skips zeros before a number, which Python takes for its end: a sparse file of gigabytes would have
-    no size here.
-    """
-
-    @classmethod
-    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
-        try:
-            found = super().frombuf(buf, encoding, errors)
-        except tarfile.InvalidHeaderError as error:  # type: ignore[attr-defined]
-            raise tarfile.ReadError(str(error)) from None
-        if found.type in (tarfile.GNUTYPE_SPARSE, tarfile.XGLTYPE) or found.size < 0:
-            raise UnfitImage("a layer has a sparse file or a global header: docker save writes none")
-        return found
 
 
 def copy_image(source: BinaryIO, target: BinaryIO, most: int) -> None:
@@ -115,10 +127,7 @@ def copy_image(source: BinaryIO, target: BinaryIO, most: int) -> None:
         name, layers = found[0].get("Config"), found[0].get("Layers")
         if not isinstance(name, str) or not isinstance(layers, list) or len(layers) > _MOST_LAYERS:
             raise UnfitImage(f"its {_MANIFEST} is not that of an image with up to {_MOST_LAYERS} layers")
-        config = _json(archive, members, name)
-        if not isinstance(config, dict) or not isinstance(config.get("config"), dict):
-            raise UnfitImage("its configuration is not that of an image")
-        _check_config(config)
+        _check_config(_json(archive, members, name))
         left = most
         with tarfile.open(fileobj=target, mode="w") as copy:
             names = [f"{number}.tar" for number in range(len(layers))]
@@ -132,7 +141,9 @@ def copy_image(source: BinaryIO, target: BinaryIO, most: int) -> None:
                 _add(copy, file, len(data), io.BytesIO(data))
 
 
-def _check_config(config: Mapping[str, Any]) -> None:
+def _check_config(found: object) -> None:
+    config = _folded(found)
+    settings = _folded(config.get("config"))
     wanted = _ARCHITECTURES.get(platform.machine(), platform.machine())
     system, processor = config.get("os"), config.get("architecture")
     if (system, processor) != ("linux", wanted):
@@ -140,7 +151,19 @@ def _check_config(config: Mapping[str, Any]) -> None:
             f"the image is for {one_line(f'{system}/{processor}', 40)}, and this machine is linux/{wanted}: "
             f"build it for the platform linux/{wanted}"
         )
-    check_image("uploaded", config["config"], 0)
+    if not isinstance(settings.get("volumes") or {}, dict):
+        raise UnfitImage(_NO_CONFIG)
+    check_image("uploaded", {key.capitalize(): value for key, value in settings.items()}, 0)
+
+
+def _folded(found: object) -> dict[str, Any]:
+    """Return an object of a configuration with its keys in lower case: engines take them in any."""
+    if not isinstance(found, dict):
+        raise UnfitImage(_NO_CONFIG)
+    folded = {key.casefold(): value for key, value in found.items()}
+    if len(folded) < len(found):
+        raise UnfitImage("its configuration has two keys that differ in case alone")
+    return folded
 
 
 def _members(archive: tarfile.TarFile) -> dict[str, tarfile.TarInfo]:
@@ -181,9 +204,17 @@ def _content(archive: tarfile.TarFile, members: Mapping[str, tarfile.TarInfo], n
 
 def _json(archive: tarfile.TarFile, members: Mapping[str, tarfile.TarInfo], name: str) -> Any:
     try:
-        return json.loads(_content(archive, members, name))
+        return json.loads(_content(archive, members, name), object_pairs_hook=_once)
     except (ValueError, RecursionError):
-        raise UnfitImage(f"its {one_line(name, 80)} is not JSON") from None
+        raise UnfitImage(f"its {one_line(name, 80)} is not JSON, or has a key twice") from None
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object in which each key is there once: an engine may take any of them, or join them."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError
+    return found
 
 
 def _unpacked(layer: IO[bytes], left: int, most: int) -> int:
@@ -193,40 +224,112 @@ def _unpacked(layer: IO[bytes], left: int, most: int) -> int:
         UnfitImage: they are more than `left`.
     """
     with _named("a layer"):
-        head = layer.read(_HEAD)
+        packed = layer.read(len(_GZIP)) == _GZIP
         layer.seek(0)
-        if head.startswith(_OTHERS):
-            raise UnfitImage("a layer is compressed, and not by gzip: docker save writes no such layers")
-        plain = cast("IO[bytes]", gzip.GzipFile(fileobj=layer)) if head.startswith(_GZIP) else layer
+        plain = cast("IO[bytes]", gzip.GzipFile(fileobj=layer)) if packed else layer
         content = _Bounded(plain, left, most)
         total = 0
-        with tarfile.open(fileobj=content, mode="r|", tarinfo=_Header) as files:
-            while (file := files.next()) is not None:
-                if file.issparse():  # as PAX writes it
-                    raise UnfitImage("a layer has a sparse file: docker save writes none")
-                total += _BLOCK + file.size
-                content.check(total)
-                files.members = []  # type: ignore[attr-defined]  # it would keep them all
+        before: list[bytes] = []
+        for path, size in _files(content):
+            # The engine makes the folders that are missing, too.
+            parts = posixpath.normpath(path).split(b"/")
+            shared = [*takewhile(lambda pair: pair[0] == pair[1], zip(before, parts, strict=False))]
+            total += _BLOCK * max(1, len(parts) - len(shared)) + size
+            content.check(total)
+            before = parts
         while content.read(_PIECE):
             pass  # the engine unpacks and keeps what follows the tar, too
-        return total
+        return max(total, content.count)
 
 
-class _Bounded(io.RawIOBase):
-    """The first `left` bytes of a file; reading on raises `UnfitImage`, which names `most`."""
+def _files(content: _Bounded) -> Iterator[tuple[bytes, int]]:
+    """Yield the path and the size of each member of a layer.
+
+    Raises:
+        ValueError: it is no tar, or has something that programs read differently.
+        EOFError: it ends too early.
+    """
+    path, extensions = b"", b""
+    block = content.read(_UNIT)
+    if block.startswith(_COMPRESSED):
+        raise ValueError("it is compressed, and not by gzip alone")
+    while block and block != bytes(_UNIT):
+        header = _HEADER.fullmatch(block)
+        if header is None or _COPIED in block:
+            raise ValueError(_AMBIGUOUS)
+        name, digits, kind, folder = header.groups()
+        size = int(digits, 8) if kind in b"0xLK" else 0
+        if kind in b"xLK":
+            extensions += kind
+            data = content.read(size)
+            if len(data) < size or extensions not in _EXTENSIONS or _COPIED in data:
+                raise ValueError(_AMBIGUOUS)
+            content.skip(-size % _UNIT)
+            if kind == b"x":
+                path = _path_of(data)
+            elif kind == b"L":
+                path = _text(data)
+        else:
+            yield path or b"/".join(filter(None, (_text(folder or b""), _text(name)))), size
+            path, extensions = b"", b""
+            content.skip(size + -size % _UNIT)
+        block = content.read(_UNIT)
+
+
+def _text(field: bytes) -> bytes:
+    return field.partition(b"\0")[0]
+
+
+def _path_of(records: bytes) -> bytes:
+    """Return the path that a header of PAX gives to its member; empty if it gives none.
+
+    Raises:
+        ValueError: it changes the size, or is not as PAX has it.
+    """
+    path = b""
+    at = 0
+    while at < len(records):
+        found = _RECORD.match(records, at)
+        end = at + int(found[1]) if found else 0
+        if not found or not found.end() < end <= len(records) or found[2].startswith(_SIZES):
+            raise ValueError(_AMBIGUOUS)
+        if found[2] == b"path":
+            path = records[found.end() : end - 1]
+        at = end
+    return path
+
+
+class _Bounded:
+    """The first `left` bytes of a file; reading on raises `UnfitImage`, which names `most`.
+
+    Attributes:
+        count: number of bytes that were read.
+    """
 
     def __init__(self, file: IO[bytes], left: int, most: int) -> None:
         self._file = file
         self._left = left
         self._most = most
-        self._count = 0
+        self.count = 0
 
-    def read(self, size: int = -1) -> bytes:
-        """Return at most `size` bytes, and no more than a piece."""
-        data = self._file.read(min(size, _PIECE) if size >= 0 else _PIECE)
-        self._count += len(data)
-        self.check(self._count)
+    def read(self, size: int) -> bytes:
+        """Return `size` bytes, or fewer at the end; no more than a piece."""
+        data = self._file.read(min(size, _PIECE))
+        self.count += len(data)
+        self.check(self.count)
         return data
+
+    def skip(self, size: int) -> None:
+        """Read `size` bytes.
+
+        Raises:
+            EOFError: there are fewer.
+        """
+        while size:
+            data = self.read(size)
+            if not data:
+                raise EOFError("it ends too early")
+            size -= len(data)
 
     def check(self, count: int) -> None:
         """Check a number of bytes."""

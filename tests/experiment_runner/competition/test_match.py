@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from glue.engine.engine import role_seed
 from glue.errors import GlueError
 from glue.trajectory import Ending
 from glue.types import Action, Observation, Step
-from glue.wire.messages import Role
+from glue.wire.messages import ErrorCode, Kind, Role
 from tests.clock import Clock
 from tests.experiment_runner.competition.players import (
     SECRET,
@@ -31,6 +32,7 @@ from tests.experiment_runner.competition.players import (
     competition,
     reports_of,
 )
+from tests.scripted.peer import TIMEOUT, ScriptedPeer
 
 
 def test_a_task_of_steps_is_played_to_its_last_step(tmp_path: Path) -> None:
@@ -214,6 +216,46 @@ def test_one_who_never_connects_forfeits(tmp_path: Path) -> None:
     reports = reports_of(None, tmp_path, lambda: float(next(ticks)), limits=Limits(start_seconds=5.0))
     assert reports.forfeit == "it did not connect within 5 s"
     assert reports.episodes(tmp_path) == []
+
+
+class Initialised(MinesEnvironment):
+    """Mines that says when it is initialised, which follows the news that an agent has joined."""
+
+    done = threading.Event()
+
+    def env_init(self) -> str:
+        Initialised.done.set()
+        return super().env_init()
+
+
+class Returning(Thread):
+    """A program that joins and leaves before its start is over; then it serves its agent, if it has one."""
+
+    def __init__(self, agent: Any, launch: Launch) -> None:
+        Initialised.done.clear()
+        with ScriptedPeer(launch.hub, session=launch.session).greet() as peer:
+            peer.join(Role.AGENT)
+            peer.say(Kind.GOODBYE, 0, "done")
+            peer.say(Kind.HEARTBEAT, 0)
+            assert peer.receive().scalars[0] == ErrorCode.UNKNOWN_PEER  # the hub has read its goodbye
+        super().__init__(agent, launch)
+
+    def wait(self, seconds: float) -> bool:
+        assert Initialised.done.wait(TIMEOUT)
+        return super().wait(seconds)
+
+
+def test_one_who_joins_leaves_and_stays_away_forfeits(tmp_path: Path) -> None:
+    ticks = itertools.count()
+    played = {"env": f"{__name__}:Initialised", "limits": Limits(start_seconds=5.0)}
+    starter = InThread(None, Returning)
+    reports = reports_of(starter, tmp_path, lambda: float(next(ticks)), **played)
+    assert reports.forfeit == "it did not connect within 5 s"
+
+
+def test_one_who_joins_leaves_and_returns_in_time_plays_on(tmp_path: Path) -> None:
+    starter = InThread(Walker(), Returning)
+    assert not reports_of(starter, tmp_path, Clock(), env=f"{__name__}:Initialised").forfeit
 
 
 class Breaking(MinesEnvironment):

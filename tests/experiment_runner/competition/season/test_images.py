@@ -111,6 +111,11 @@ def header(size: bytes, kind: bytes = b"0", more: bytes = b"") -> bytes:
     return bytes(made)
 
 
+def part(kind: bytes, content: bytes) -> bytes:
+    """Return a member of this kind with its content."""
+    return header(b"%011o\0" % len(content), kind) + content + bytes(-len(content) % 512)
+
+
 def pax_sparse() -> bytes:
     """Return a tar with a sparse file of 64 GiB, in the format of PAX."""
     member = tarfile.TarInfo("huge")
@@ -122,6 +127,13 @@ LONG_NAMES = (header(b"%011o\0" % 2, b"L") + b"a".ljust(512, b"\0")) * 3000
 HUGE = (b"%011o\0" % 0 * 2).ljust(97, b"\0") + b"\x80" + (2**36).to_bytes(11, "big")
 """What the old format of GNU says of a sparse file of 64 GiB."""
 
+EMPTY = header(b"%011o\0" % 0)
+COVERED = part(b"0", pax_sparse())
+"""A file with another in it, for whoever takes its header for the content of an earlier file."""
+
+COVER = b"15 size=%06d\n" % (len(COVERED) - 512)
+NESTED = "/".join("folder" for _ in range(50))
+
 
 @pytest.mark.parametrize(
     ("layer", "why"),
@@ -130,10 +142,20 @@ HUGE = (b"%011o\0" % 0 * 2).ljust(97, b"\0") + b"\x80" + (2**36).to_bytes(11, "b
         (gzip.compress(bytes(2 * MOST)), "too large"),
         (header(b"%011o\0" % 0, b"S", HUGE) + bytes(1024), "sparse file"),
         (pax_sparse(), "sparse file"),
-        (header(b"\xff" * 10 + b"\xfe\x00"), "a layer has"),
+        (header(b"\xff" * 10 + b"\xfe\x00"), "read differently"),
         (header(b"%011o\0" % 0, b"g") + LAYER, "global header"),
         (LAYER[:2048] + header(b"12x4567890\0\0") + bytes(1024), "a layer is not as docker save"),
         (LONG_NAMES, "a layer is not as docker save"),
+        (part(b"L", b"folder/") + part(b"\0", pax_sparse()), "read differently"),
+        (part(b"x", b"16 path=folder/\n") + part(b"\0", pax_sparse()), "read differently"),
+        (part(b"X", COVER) + EMPTY + pax_sparse(), "read differently"),
+        (part(b"x", b"8 size=\n") + header(b"%011o\0" % 512) + COVERED, "read differently"),
+        (header(b"\0%010o\0" % 512) + COVERED, "read differently"),
+        (part(b"x", COVER) + part(b"x", b"13 comment=a\n") + EMPTY + pax_sparse(), "read differently"),
+        (part(b"x", b"9 path=ab\n") + EMPTY, "read differently"),
+        (tar({".wh..wh.plnk/1": b""}), "read differently"),
+        (tar({f"{number}/{NESTED}": b"" for number in range(10)}), "too large"),
+        (tar({"\x50\x2a\x4d\x18": b""}), "not by gzip"),
         (tar({f"{number}": b"" for number in range(300)}), "too large"),
         (bz2.compress(LAYER), "not by gzip"),
         (b"no tar at all" * 100, "a layer is not as docker save"),
@@ -141,7 +163,9 @@ HUGE = (b"%011o\0" % 0 * 2).ljust(97, b"\0") + b"\x80" + (2**36).to_bytes(11, "b
     ],
     ids=[
         *("bomb", "zeros", "sparse", "sparse by PAX", "negative", "global", "broken", "long names"),
-        *("many files", "bzip2", "text", "cut"),
+        *("folder with data", "folder by PAX", "kind", "no size by PAX", "zero before a size"),
+        *("two of PAX", "broken PAX", "copied links", "folders", "zstd", "many files", "bzip2"),
+        *("text", "cut"),
     ],
 )
 def test_a_layer_that_cannot_be_counted_or_takes_too_much_is_refused(layer: bytes, why: str) -> None:
@@ -150,11 +174,27 @@ def test_a_layer_that_cannot_be_counted_or_takes_too_much_is_refused(layer: byte
 
 
 def test_all_layers_count_together() -> None:
-    layer = tar({"file": bytes(2**18)})
-    layers: dict[str, bytes | tarfile.TarInfo] = {f"{number}/layer.tar": layer for number in range(5)}
-    with pytest.raises(UnfitImage, match="more than 1 MiB"):
-        copied(image(layers))
-    assert len(copied(image(layers), 2 * MOST)) == 7
+    for layer in (tar({"file": bytes(2**18)}), gzip.compress(LAYER + bytes(2**18))):
+        layers: dict[str, bytes | tarfile.TarInfo] = {f"{number}/layer.tar": layer for number in range(5)}
+        with pytest.raises(UnfitImage, match="more than 1 MiB"):
+            copied(image(layers))
+        assert len(copied(image(layers), 2 * MOST)) == 7
+
+
+@pytest.mark.parametrize("form", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
+def test_layers_in_every_usual_format_are_taken_and_a_folder_counts_once(form: int) -> None:
+    folders = "/".join("folder" for _ in range(20))
+    records = {"mtime": "1.5", "SCHILY.xattr.user.size": "7 size=1"} if form == tarfile.PAX_FORMAT else {}
+    written = io.BytesIO()
+    with tarfile.open(fileobj=written, mode="w", format=form, pax_headers={}) as archive:
+        for number in range(100):
+            member = tarfile.TarInfo(f"{folders}/{number}" + "x" * 50)
+            member.size, member.pax_headers = 1000, records
+            archive.addfile(member, io.BytesIO(bytes(1000)))
+        hard = tarfile.TarInfo("link")
+        hard.type, hard.linkname = tarfile.LNKTYPE, "folder/" * (5 if form == tarfile.USTAR_FORMAT else 20)
+        archive.addfile(hard)
+    assert copied(image({"one/layer.tar": written.getvalue()}), 4096 * (100 + 20 + 1) + 100 * 1000)
 
 
 @pytest.mark.parametrize(
@@ -183,6 +223,13 @@ def test_what_is_no_image_is_refused(files: dict[str, bytes | tarfile.TarInfo], 
     [
         (config(architecture="s390x"), "for the platform"),
         (config(config={"Cmd": ["a"], "Volumes": {"/data": {}}}), "VOLUME"),
+        (config(config={"Cmd": ["a"], "volumeſ": {"/data": {}}}), "VOLUME"),
+        (config(config={"Cmd": ["a"], "Volumes": 5}), "not that of an image"),
+        (config(Config={"Volumes": {"/data": {}}}), "in case alone"),
+        (
+            config(config={"Cmd": ["a"]}).replace(b'"os"', b'"config": {"Volumes": {"/data": {}}}, "os"'),
+            "twice",
+        ),
         (config(config={"Env": []}), "nothing to run"),
     ],
 )
