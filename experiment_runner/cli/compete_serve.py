@@ -90,14 +90,17 @@ def serve(
     from experiment_runner.competition.trials import read_code, read_secret
     from experiment_runner.competition.worker import executor_of
     from experiment_runner.executors.opening import kept_if_begun
+    from experiment_runner.store.layout import lock_holder
     from experiment_runner.view.launch import check_view, season_viewed
 
     check_address(Backend(engine), address)
     has_page = of_page["page"] is not None
     if has_page:
         check_view("page")
-        # The page is a process of its own, and started again whenever it ends: here a mistake is told once.
-        _check_free(place_of_page(of_page["page"], of_page["proxy"], of_page["insecure"]))
+        # The page is a separate process, which is started again whenever it ends: a mistake is reported here.
+        place = place_of_page(of_page["page"], of_page["proxy"], of_page["insecure"])
+        if lock_holder(out) is None:  # another server's page may be there
+            _check_free(place)
     competition = load_competition(file)
     if competition.season is None:
         raise ConfigError(f"{file} has no table [season]: glue-compete run holds its competition")
@@ -119,7 +122,10 @@ def serve(
             from experiment_runner.view.season.publish import Publisher
             from experiment_runner.view.season.views import Views
 
-            Publisher(Views(out, utc_now), of_page["publish"]).publish()  # as it is for ever
+            try:
+                Publisher(Views(out, utc_now), of_page["publish"]).publish()
+            except GlueError as error:
+                say(f"the published page is not of the end: {error}")
         if competition.season.images:
             with suppress(GlueError, ImportError):  # without an engine there are none
                 remove_others(out)

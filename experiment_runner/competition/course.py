@@ -207,7 +207,7 @@ def _rules(competition: Competition) -> dict[str, object]:
         "episodes or steps": [(task.name, task.episodes, task.steps) for task in competition.tasks],
         "rate or late": [(task.name, task.pace) for task in competition.tasks],
         "phases": [(task.name, task.phase, task.hidden) for task in competition.tasks],
-        "env": [(task.name, Path(task.env).name) for task in later],  # its folder is that of the file
+        "env": [(task.name, without_place(task.env)) for task in later],
         "options": [(task.name, task.options) for task in later],
         "levels": [(task.name, [path.name for path in task.levels]) for task in later],
         "max_steps": [(task.name, task.max_steps) for task in later],

@@ -77,7 +77,7 @@ def check(public: bytes, method: str, path: str, headers: Mapping[str, str], now
             f"{SECONDS} s are allowed: set your clock"
         )
     if not is_signed(public, _message(method, path, headers), bytes.fromhex(signature)):
-        raise Unsigned("is not signed with the key of its entrant")
+        raise Unsigned("is not signed with the key of an entrant that takes part: see glue-compete join")
 
 
 class Once:

@@ -211,8 +211,11 @@ class _Entrance:
 
     async def image(self, request: Request) -> _Answer:
         entrant = await self._sender(request)
+        state = await run_in_threadpool(lambda: course_of(self._directory).state)
+        season, known = state.season, state.entrants.get(entrant)
+        if known is not None and known.excluded:
+            raise Denied(f"{entrant} is excluded: {known.excluded}", 403)
         self._images.take(entrant)
-        season = (await run_in_threadpool(lambda: course_of(self._directory).state)).season
         if not season.images:
             raise Denied("this season takes no images: play with glue-agent and season.toml", 403)
         size = request.headers.get("content-length", "")

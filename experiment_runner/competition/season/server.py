@@ -63,6 +63,9 @@ _LOOK_SECONDS: Final = 1.0
 _ABSENT_SECONDS: Final = 60.0
 """Time after which the waiting attempt of a program that no longer asks for it is cancelled."""
 
+_MOST_AFTER_CLOSE: Final = 3
+"""Failures of ours in a row after which an attempt is not played again when the season is closed."""
+
 _RERUN_SECONDS: Final = 7 * 86_400.0
 """The same for one that the organiser has queued, of which its owner is to learn first."""
 
@@ -203,7 +206,7 @@ class Server(Matches):
         """When an entrant whose attempt failed here may play again, and its slot: the port may be taken."""
         self._began = clock()
         self._looked = -math.inf
-        self._ended = -math.inf  # when the last attempt was over
+        self._ended = -math.inf  # when the last attempt was over, or cancelled by the close
         self._boards: Boards | None = None
         self._boards_of = 0  # the number of acts in it
         self._boards_until = 0.0  # when they may be computed again
@@ -411,7 +414,10 @@ class Server(Matches):
         if one.withdrawn or one.state in ("ours", "cancelled"):
             raise ExperimentError(f"attempt {number} does not count anyway")
         if one.instead and one.state == "waiting":
-            raise ExperimentError(f"the organiser has had attempt {one.instead} run again, as {number}")
+            raise ExperimentError(
+                f"attempt {number} is attempt {one.instead}, which the organiser has run again: it can be "
+                "withdrawn when it is over"
+            )
         kind, count = journal.CANCEL if one.state == "waiting" else journal.WITHDRAW, self._state.season.count
         if kind == journal.WITHDRAW and count != "best":
             which = "the last attempt counts" if count == "last" else "all attempts count"
@@ -448,6 +454,8 @@ class Server(Matches):
     def _record(self, *acts: Act) -> None:
         """Write acts to the journal, and carry them out."""
         record_acts(self._store, acts)
+        if len(acts) > 1 and acts[-1].act == journal.CLOSE:
+            self._ended = self._clock()  # programs whose attempts are cancelled learn of it
         for one in acts:
             self._course.acts.append(one)
             self._state.apply(one)
@@ -591,7 +599,8 @@ class Server(Matches):
         failed = ended.index("over") if "over" in ended else len(ended)
         self._rests[slot.number] = self._clock() + _REST_SECONDS
         self._rests[name] = self._clock() + _REST_SECONDS * 2 ** min(failed, _MOST_DOUBLED)
-        self._record(ours, again)
+        ends = self._state.closed is not None and failed + 1 >= _MOST_AFTER_CLOSE
+        self._record(ours, *([] if ends else [again]))
 
     def _leave(self, slot: _Slot) -> None:
         """Take the slot from an attempt that is no longer played."""

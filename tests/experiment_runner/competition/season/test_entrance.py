@@ -19,6 +19,7 @@ pytest.importorskip("uvicorn", reason="needs the extra web")
 
 from starlette.requests import Request
 
+from experiment_runner.competition.records import journal
 from experiment_runner.competition.season.control import Attempt, TryLater
 from experiment_runner.competition.season.entrance import Denied, Rate, address_of
 from experiment_runner.competition.season.trying import competition_of
@@ -27,6 +28,7 @@ from glue.client.season import PREFIX, Page, SeasonBusy, SeasonRefused, join
 from glue.errors import ExperimentError
 from glue.keys.certificates import encode, write_pair
 from tests.experiment_runner.competition.season.gate import FILE, Entrance, entrance, entrance_at, shared
+from tests.experiment_runner.competition.season.made import Made
 from tests.system.runs import wait_until
 
 __all__ = ["entrance", "shared"]
@@ -239,6 +241,15 @@ def test_a_season_may_take_no_images(tmp_path: Path) -> None:
         pytest.raises(SeasonRefused, match="takes no images"),
     ):
         entrance.season.submit(io.BytesIO(b"x"))
+
+
+def test_an_excluded_entrant_sends_no_images(tmp_path: Path) -> None:
+    made = Made(["alice"], FILE)
+    made.act(journal.EXCLUDE, "alice", "the rules")
+    with entrance_at(tmp_path / "run") as entrance:
+        journal.append(tmp_path / "run", journal.text_of(made.acts).encode())
+        with pytest.raises(SeasonRefused, match="alice is excluded: the rules"):
+            entrance.season.submit(io.BytesIO(b"x"))
 
 
 def test_an_entrant_that_asks_too_often_has_to_wait(tmp_path: Path) -> None:

@@ -194,7 +194,7 @@ def test_an_attempt_is_run_again_at_no_cost_when_its_program_is_there(season: Se
     assert season.act("rerun", "alice", number=2)
     season.later(1000)
     assert season.states("alice")[4] == "waiting"
-    season.refuses(Withdraw("alice", 4), "the organiser has had attempt 2 run again")
+    season.refuses(Withdraw("alice", 4), "attempt 4 is attempt 2, which the organiser has run again")
     season.seconds += 7 * 86400
     season.turns()
     assert season.states("alice")[4] == "cancelled"
@@ -276,6 +276,26 @@ def test_who_closes_the_season_lets_what_is_played_end(season: Season) -> None:
     assert not season.server.may_end  # its program asks how it went
     season.seconds += 30
     assert season.server.may_end
+
+
+def test_programs_that_wait_when_the_season_is_closed_learn_it(season: Season) -> None:
+    season.act("pause")
+    season.ask(Attempt("alice"))
+    season.act("close")
+    assert season.server.over
+    assert not season.server.may_end
+
+
+@of(IMAGES)
+def test_what_always_fails_does_not_keep_a_closed_season_open(season: Season) -> None:
+    season.ask(Submit("alice", IDS[0], "alice:1"))
+    season.executor.agents["alice"] = "the disk is on fire"
+    season.ask(Attempt("alice"))
+    season.act("close")
+    for _ in range(10):
+        season.later(60)
+    assert season.states("alice") == dict.fromkeys((1, 2, 3), "ours")
+    assert season.server.over
 
 
 @pytest.mark.parametrize(
