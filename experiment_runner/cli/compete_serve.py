@@ -96,7 +96,7 @@ def serve(
     has_page = of_page["page"] is not None
     if has_page:
         check_view("page")
-        # The page is a process of its own, and started again whenever it ends: here a mistake is told once.
+        # The page is a process of its own, restarted whenever it ends: a mistake is reported here, and only once.
         _check_free(place_of_page(of_page["page"], of_page["proxy"], of_page["insecure"]))
     competition = load_competition(file)
     if competition.season is None:
@@ -119,7 +119,7 @@ def serve(
             from experiment_runner.view.season.publish import Publisher
             from experiment_runner.view.season.views import Views
 
-            Publisher(Views(out, utc_now), of_page["publish"]).publish()  # as it is for ever
+            Publisher(Views(out, utc_now), of_page["publish"]).publish()  # the final state
         if competition.season.images:
             with suppress(GlueError, ImportError):  # without an engine there are none
                 remove_others(out)
