@@ -96,7 +96,7 @@ def serve(
     has_page = of_page["page"] is not None
     if has_page:
         check_view("page")
-        # The page is a process of its own, restarted whenever it ends: a mistake is reported here, and only once.
+        # The page is a process of its own, restarted whenever it ends: here a mistake is reported only once.
         _check_free(place_of_page(of_page["page"], of_page["proxy"], of_page["insecure"]))
     competition = load_competition(file)
     if competition.season is None:

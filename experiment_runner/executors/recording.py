@@ -40,7 +40,7 @@ class Extras:
         self._forms = {name: {name: name, f"{label}.{name}": name} for name in self._summaries}
         if label == REMOTE:  # any label may be meant by what is before a dot, unless two names differ in it
             shorts = [name.partition(".")[2] for name in self._forms]
-            for (name, forms), short in zip(self._forms.items(), shorts, strict=True):
+            for forms, short in zip(self._forms.values(), shorts, strict=True):
                 if short and short not in self._forms and shorts.count(short) == 1:
                     forms[short] = short
         self._values: dict[str, dict[str, float]] = {}  # each summary so far, and the count
@@ -75,7 +75,7 @@ class Extras:
     def numbers(self) -> dict[str, float]:
         """Return the number of each extra in the episode, by the environment's label, a dot, and its name.
 
-        In an episode with one that was sent under its whole name, another may end like it.
+        In an episode in which one was sent under its whole name, another whose name ends like it is left out.
         """
         return {
             f"{self._label}.{sent}": self._values[sent][self._summaries[name]]
