@@ -46,16 +46,19 @@ class Pace:
     delay: int = 0
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.rate, Real) and (self.rate == 0 or 0.001 <= self.rate <= MAX_RATE)):
+        if not (_is(Real, self.rate) and (self.rate == 0 or 0.001 <= self.rate <= MAX_RATE)):
             raise ConfigError(
                 f"a rate is from 0.001 to {MAX_RATE:g} steps per second, or 0 to wait for the agent, "
                 f"not {self.rate!r:.80}",
                 settings=("rate",),
             )
-        if not (isinstance(self.delay, Integral) and 0 <= self.delay <= MAX_DELAY):
+        if not (_is(Integral, self.delay) and 0 <= self.delay <= MAX_DELAY):
             raise ConfigError(
                 f"a delay is from 0 to {MAX_DELAY} steps, not {self.delay!r:.80}", settings=("delay",)
             )
+        # NumPy's numbers would round the times that are computed with them.
+        object.__setattr__(self, "rate", float(self.rate))
+        object.__setattr__(self, "delay", int(self.delay))
         numbers = _numbers(self.late)
         if numbers and not self:
             raise ConfigError(
@@ -84,6 +87,10 @@ class Pace:
         numbers = _numbers(self.late)
         ints = [number for number in numbers if isinstance(number, int)]
         return Action(ints, [number for number in numbers if isinstance(number, float)])
+
+
+def _is(kind: type, number: object) -> bool:
+    return isinstance(number, kind) and not isinstance(number, bool)
 
 
 def _numbers(late: object) -> list[int | float]:

@@ -38,7 +38,7 @@ from glue.trajectory import ActionWriter, Ending
 from glue.wire.messages import MAX_BODY, Event, Role
 
 NOT_CONNECTED: Final = "it did not connect within"
-"""Begin of the reason if an entrant never joins, or has left and does not join again."""
+"""Beginning of the reason if an entrant never joins, or has left and does not join again."""
 
 _LOOK_SECONDS: Final = 0.2
 """Maximum delay in noticing the end of an entrant's program."""

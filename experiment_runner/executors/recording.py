@@ -40,10 +40,9 @@ class Extras:
         self._forms = {name: {name: name, f"{label}.{name}": name} for name in self._summaries}
         if label == REMOTE:  # any label may be meant by what is before a dot, unless two names differ in it
             shorts = [name.partition(".")[2] for name in self._forms]
-            for (name, forms), short in zip(self._forms.items(), shorts, strict=True):
+            for forms, short in zip(self._forms.values(), shorts, strict=True):
                 if short and short not in self._forms and shorts.count(short) == 1:
                     forms[short] = short
-                    self._summaries[short] = self._summaries[name]
         self._values: dict[str, dict[str, float]] = {}  # each summary so far, and the count
         self._found: set[str] = set()  # those that have been numbers
 
@@ -74,11 +73,14 @@ class Extras:
                 )
 
     def numbers(self) -> dict[str, float]:
-        """Return the number of each extra in the episode, by the environment's label, a dot, and its name."""
+        """Return the number of each extra in the episode, by the environment's label, a dot, and its name.
+
+        In an episode in which one was sent under its whole name, another whose name ends like it is left out.
+        """
         return {
-            f"{self._label}.{name}": self._values[name][how]
-            for name, how in self._summaries.items()
-            if name in self._values
+            f"{self._label}.{sent}": self._values[sent][self._summaries[name]]
+            for name, forms in self._forms.items()
+            if (sent := next((one for one in forms.values() if one in self._values), None)) is not None
         }
 
     def missing(self) -> Iterator[str]:

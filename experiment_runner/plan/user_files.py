@@ -50,17 +50,20 @@ def user_files(players: Sequence[RoleSpec | RoleSweep]) -> dict[str, UserFile]:
 def changed_files(recorded: Mapping[str, str], present: Mapping[str, UserFile]) -> list[str]:
     """Return the paths of the files that differ from those recorded, given by path and SHA-256.
 
-    A module that is not loaded may be later. Any other file that is not was named by an option, whose value
-    now stands for another file, or for none, unless the file was moved.
+    A recorded module that is not loaded may be loaded later. A file of an option that is not loaded may be
+    gone, or was moved, which does no harm: the player that needs it says so. It differs only if options name
+    a file now with which the run did not begin.
     """
-    moved = {(Path(path).name, file.sha256) for path, file in present.items()}
+    begun = {(Path(path).name, sha256) for path, sha256 in recorded.items()}
+    named = {(Path(path).name, file.sha256) for path, file in present.items() if not path.endswith(".py")}
+    others = not named <= begun
     return [
         path
         for path, sha256 in recorded.items()
         if (
             present[path].sha256 != sha256
             if path in present
-            else not path.endswith(".py") and (Path(path).name, sha256) not in moved
+            else others and not path.endswith(".py") and (Path(path).name, sha256) not in named
         )
     ]
 

@@ -190,7 +190,7 @@ INTERRUPTED = (
 def slowed(tmp_path: Path) -> Path:
     """Return a folder in which that run lasts for at least 20 seconds."""
     shutil.copy(SLOW_AGENT, tmp_path)
-    (tmp_path / "there").mkdir()
+    (tmp_path / "there").touch()
     return tmp_path
 
 
@@ -223,7 +223,7 @@ def test_interrupted_run_leaves_no_process_and_continues(
     assert errors.count("interrupted") == 1, errors
     assert "Traceback" not in errors
     assert not any(map(alive, processes))
-    (slowed / "there").rmdir()
+    (slowed / "there").unlink()
     assert run("--resume", "run", "--in-process", "--trust", cwd=slowed).returncode == 0
     assert contents(slowed / "run") == undisturbed
 

@@ -70,7 +70,7 @@ _ROOM: Final = 3
 _RESTART_SECONDS: Final = 10
 _MOST_LETTERS: Final = 64
 _NOBODY: Final = 32 * b"\xff"
-"""A public key that is none: nothing is signed with it."""
+"""A public key that belongs to nobody: nothing is signed with it."""
 
 _MOST_LIMITED: Final = 10_000
 
@@ -235,7 +235,7 @@ class _Entrance:
         if entrant in self._uploading:
             raise Denied("another image of this entrant is being received", 429, _RESTART_SECONDS)
         if len(self._uploading) >= _MOST_UPLOADS:
-            self._images.give_back(entrant)  # not by its fault
+            self._images.give_back(entrant)  # not its fault
             raise Denied(f"{_MOST_UPLOADS} images are being received: try again", 503, _RESTART_SECONDS)
         self._uploading.add(entrant)
         try:

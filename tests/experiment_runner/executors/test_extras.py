@@ -155,6 +155,19 @@ def test_extras_whose_names_end_alike_are_not_mixed(
     assert len([*extras.missing()]) == len(keys) - len(stored)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_another_extra_that_ends_like_one_sent_at_some_steps_is_not_recorded(order: int) -> None:
+    extras = Extras({"left.speed": "last"}, REMOTE)
+    sent: list[dict[str, Any]] = [{"speed": 9}, {"left.speed": 1, "speed": 9}]
+    for stored in ({"remote.left.speed": 1}, {"remote.speed": 9}):  # each episode by itself
+        extras.begin()
+        for values in sent[::order]:
+            extras.see(Observation(extras=values))
+        assert extras.numbers() == stored
+        assert [*extras.missing()] == []
+        del sent[1:]
+
+
 def test_an_attempt_that_became_void_leaves_nothing() -> None:
     with local(RunRightAgent(), Climbing()) as glue:
         glue.rl_init(1)

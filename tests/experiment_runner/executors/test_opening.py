@@ -134,19 +134,38 @@ def test_changed_file_is_named_and_the_run_left_as_it_is(tmp_path: Path) -> None
 def test_a_run_goes_on_with_the_file_that_its_option_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From another folder, the same name is another file, or none."""
+    """From another folder, the same name is another file; or none, as a player will say that needs one."""
     plan, directory = Plan(episodes=1, agents=(RoleSweep("sarsa", {"policy": "data.txt"}),)), tmp_path / "run"
     for folder, text in (("begun", "5"), ("copied", "5"), ("other", "2"), ("without", None)):
         (tmp_path / folder).mkdir()
         if text is not None:
             (tmp_path / folder / "data.txt").write_text(text)
-    for folder in ("begun", "begun", "copied"):
+    for folder in ("begun", "begun", "copied", "without"):
         monkeypatch.chdir(tmp_path / folder)
         open_run(directory, plan).close()
-    for folder in ("other", "without"):
-        monkeypatch.chdir(tmp_path / folder)
-        with pytest.raises(DirectoryTaken, match=r"begun/data\.txt is not what its option names"):
-            open_run(directory, plan)
+    monkeypatch.chdir(tmp_path / "other")
+    with pytest.raises(DirectoryTaken, match=r"begun/data\.txt is not what its option names"):
+        open_run(directory, plan)
+
+
+def test_a_run_goes_on_without_a_file_that_is_gone_but_not_with_another_behind_a_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    gone, other, another, link = map(Path, ("a/data.txt", "b/data.txt", "c/data.txt", "link.txt"))
+    for file in (gone, other, another):
+        file.parent.mkdir()
+        file.write_text(str(file))
+    link.symlink_to(other)
+    options = {"first": str(gone), "second": str(link)}
+    plan, directory = Plan(episodes=1, agents=(RoleSweep("sarsa", options),)), tmp_path / "run"
+    open_run(directory, plan).close()
+    gone.unlink()
+    open_run(directory, plan).close()
+    link.unlink()
+    link.symlink_to(another)
+    with pytest.raises(DirectoryTaken, match=r"b/data\.txt is not what its option names"):
+        open_run(directory, plan)
 
 
 def test_a_run_on_the_level_of_a_file_is_of_that_file(tmp_path: Path) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from fractions import Fraction
 from typing import Any
 
+import numpy as np
 import pytest
 
 from agents.baselines import RandomAgent
@@ -219,8 +221,8 @@ def test_an_agent_has_half_a_period_even_if_the_environment_is_behind() -> None:
 @pytest.mark.parametrize(
     ("wrong", "why"),
     [
-        *(({"rate": rate}, "a rate is from 0") for rate in (-1.0, 2000.0, float("nan"), "5", None)),
-        *(({"delay": delay}, "a delay is from 0") for delay in (-1, 1.5, "2")),
+        *(({"rate": rate}, "a rate is from 0") for rate in (-1.0, 2000.0, float("nan"), "5", None, True)),
+        *(({"delay": delay}, "a delay is from 0") for delay in (-1, 1.5, "2", True)),
         ({"rate": -1.0, "late": "1"}, "a rate is from 0"),
         *(
             ({"rate": 1.0, "late": late}, r"late is `repeat`, or the numbers of an action, as in 0,1,0")
@@ -244,6 +246,15 @@ def test_an_agent_has_half_a_period_even_if_the_environment_is_behind() -> None:
 def test_what_is_no_pace_is_refused(wrong: dict[str, Any], why: str) -> None:
     with pytest.raises(ConfigError, match=why):
         Pace(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("rate", "delay"), [(np.float32(100), np.int64(3)), (np.float16(100), np.int8(3)), (Fraction(100), 3)]
+)
+def test_a_pace_has_pythons_numbers(rate: Any, delay: Any) -> None:
+    pace = Pace(rate=rate, delay=delay)
+    assert repr(pace) == repr(Pace(rate=100.0, delay=3))
+    assert str(pace) == ", 100 steps per second, actions delayed by 3 steps"
 
 
 def test_a_late_action_has_whole_numbers_and_decimals() -> None:

@@ -213,7 +213,7 @@ def test_what_was_signed_for_an_earlier_start_of_the_page_is_to_be_signed_anew(
 def test_a_machine_that_cannot_keep_an_image_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=2))
     with entrance_at(tmp_path / "run") as entrance:
-        for _ in range(6):  # more than the images that one may send at once: it is not by its fault
+        for _ in range(6):  # more than the images that one may send at once: it is not its fault
             with pytest.raises(SeasonBusy, match="cannot keep the image: No space left") as caught:
                 entrance.season.submit(io.BytesIO(b"x"))
             assert caught.value.seconds == 600
