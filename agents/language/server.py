@@ -87,19 +87,20 @@ class MCPAgent(LanguageAgent):
         made = Options(**options)  # type: ignore[arg-type]  # checked by `glue.options.build`
         port = made.port
         former = _NEWEST.get(port)
-        super().__init__(made, former)
         if find_spec("mcp") is None or find_spec("mcp_types") is None:
             raise ConfigError(
                 "the agent mcp needs version 2 of the protocol's SDK: pip install 'glue-rl[mcp]'"
             )
+        if former is None and port is None and not _has_client():
+            raise ConfigError(
+                "standard input does not come from a client: give mcp a port, or let the client start "
+                "glue-agent mcp",
+                settings=("port",),
+            )
+        super().__init__(made, former)
         self.instructed: list[Any] = [] if former is None else former.instructed
         """Objects of the SDK whose `instructions` a client is shown; guarded by `changed`."""
         if former is None:
-            if port is None and not _has_client():
-                raise ConfigError(
-                    "standard input is no client's: give mcp a port, or let the client start glue-agent mcp",
-                    settings=("port",),
-                )
             serve = self._serve_stdio if port is None else partial(self._serve_http, _listen(port))
             self._thread = threading.Thread(target=serve, daemon=True)
             self._thread.start()
@@ -111,9 +112,6 @@ class MCPAgent(LanguageAgent):
         return _HOW
 
     def agent_init(self, task_spec: str) -> None:
-        if _NEWEST[self.options.port] is not self:
-            where = "stdio" if self.options.port is None else f"port {self.options.port}"
-            raise ConfigError(f"{where} serves one session: give others a port", settings=("port",))
         super().agent_init(task_spec)
         with self.changed:
             for instructed in self.instructed:
