@@ -87,6 +87,8 @@ class MCPAgent(LanguageAgent):
         made = Options(**options)  # type: ignore[arg-type]  # checked by `glue.options.build`
         port = made.port
         former = _NEWEST.get(port)
+        if port == 0 and former is not None and not former.ended:
+            former = None  # Any free port is another one than that of a session that may be played.
         if find_spec("mcp") is None or find_spec("mcp_types") is None:
             raise ConfigError(
                 "the agent mcp needs version 2 of the protocol's SDK: pip install 'glue-rl[mcp]'"
@@ -98,6 +100,8 @@ class MCPAgent(LanguageAgent):
                 settings=("port",),
             )
         super().__init__(made, former)
+        self.ended: bool = False
+        """Whether its session has ended, so that another one may be played at any free port."""
         self.instructed: list[Any] = [] if former is None else former.instructed
         """Objects of the SDK whose `instructions` a client is shown; guarded by `changed`."""
         if former is None:
@@ -114,8 +118,13 @@ class MCPAgent(LanguageAgent):
     def agent_init(self, task_spec: str) -> None:
         super().agent_init(task_spec)
         with self.changed:
+            self.ended = False
             for instructed in self.instructed:
                 instructed.instructions = self.prompt
+
+    def agent_cleanup(self) -> None:
+        super().agent_cleanup()
+        self.ended = True
 
     def choose(self) -> None:
         self.changed.wait(min(self.game.time_left, 3600.0))
@@ -154,7 +163,8 @@ class MCPAgent(LanguageAgent):
 
 
 _NEWEST: Final[dict[int | None, MCPAgent]] = {}
-"""The newest agent of each address: of a port, or None for stdio. Its game is that of all before it there."""
+"""The newest agent of each address: of a port, or None for stdio. At 0 several may be played at once, each
+at a port of its own; elsewhere its game is that of all before it."""
 
 
 def play(agent: LanguageAgent, tool: str, arguments: Mapping[str, Any]) -> Answer:
