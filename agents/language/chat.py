@@ -198,7 +198,7 @@ class Reply(NamedTuple):
 def read_reply(answer: Any) -> Reply | None:
     """Return the first message of an endpoint's answer; its text may be empty.
 
-    None if it is no answer of the common form. What is no number of tokens counts as 0.
+    None if it is no answer of the common form. A missing or malformed number of tokens counts as 0.
     """
     try:
         text = answer["choices"][0]["message"]["content"] or ""

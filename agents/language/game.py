@@ -21,7 +21,8 @@ import math
 import time
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from enum import Enum, StrEnum
 from threading import Condition
@@ -29,7 +30,7 @@ from typing import Annotated, Any, Final, NamedTuple
 
 from agents.language.texts import IllegalChoice, Texts
 from glue.console import LOG, printable
-from glue.errors import GlueError
+from glue.errors import ConfigError, GlueError
 from glue.options import Option
 from glue.roles import Agent
 from glue.types import Action, Observation
@@ -140,7 +141,8 @@ class Game:
     """
 
     def __init__(self, options: GameOptions, clock: Callable[[], float] = time.monotonic) -> None:
-        self._options = options
+        self.options = options
+        """Those of the agent that plays."""
         self._clock = clock
         self.texts: Texts | None = None
         self.turn: int = 0
@@ -160,7 +162,7 @@ class Game:
     def task(self, task_spec: str) -> None:
         """Begin a task; raise as `Texts`."""
         self._go(Phase.WAITING)
-        self.texts = Texts(task_spec, self._options.sequence, self._options.list_actions)
+        self.texts = Texts(task_spec, self.options.sequence, self.options.list_actions)
         self._told = False
 
     def start(self, observation: Observation) -> None:
@@ -189,7 +191,7 @@ class Game:
     def renew(self, options: GameOptions) -> None:
         """Wait for another session, with other options; the last one may have ended at any point."""
         self.rest()
-        self._options = options
+        self.options = options
         self._episode = _Episode()
 
     def close(self) -> None:
@@ -223,7 +225,7 @@ class Game:
     def time_left(self) -> float:
         """Seconds that are left for the choices of this episode; infinite if they are not limited."""
         running = self._clock() - self._asked if self.phase is Phase.CHOOSING else 0.0
-        return max(0.0, (self._options.seconds or math.inf) - self.counts.seconds - running)
+        return max(0.0, (self.options.seconds or math.inf) - self.counts.seconds - running)
 
     def record(self) -> dict[str, Any]:
         """Return the counts of the episode, its raw answers, and those of the newest choice."""
@@ -252,7 +254,7 @@ class Game:
 
     def view(self) -> Answer:
         """Return the present observation and the state of the episode."""
-        now, options = self._episode, self._options
+        now, options = self._episode, self.options
         left = max(0, options.steps - 1 - now.steps) if options.steps else None
         seconds = round(self.time_left, 3) if options.seconds else None
         over = now.number > 0 and self.phase not in (Phase.CHOOSING, Phase.PLAYING)
@@ -336,9 +338,9 @@ class Game:
     def _refuse(self, why: str) -> None:
         self.counts.illegal += 1
         self._episode.illegal += 1
-        left = self._options.illegal - self._episode.illegal
+        left = self.options.illegal - self._episode.illegal
         if left <= 0:
-            self._forfeit(f"{self._options.illegal} illegal choices in a row, the last because {why}")
+            self._forfeit(f"{self.options.illegal} illegal choices in a row, the last because {why}")
         answer = self.view()
         text = f"Illegal: {why}. Nothing was done, and the current turn is {self.turn}. "
         text += f"After {left} more in a row the episode is forfeit."
@@ -354,7 +356,7 @@ class Game:
     @property
     def _is_last(self) -> bool:
         """Whether the experiment ends the episode now, if its limit is the one that was told."""
-        return self._episode.steps == self._options.steps - 1
+        return self._episode.steps == self.options.steps - 1
 
     def _next(self) -> None:
         """Ask for the next choice, unless the experiment does not take it any more."""
@@ -407,6 +409,7 @@ class LanguageAgent(Agent):
         """Guards the game, and is notified when it has changed."""
         with self.changed:
             self.game.renew(options)
+            self.changed.notify_all()
 
     @property
     @abstractmethod
@@ -423,33 +426,33 @@ class LanguageAgent(Agent):
         return self.how if self.game.texts is None else f"{self.game.texts.rules}\n{self.how}"
 
     def agent_init(self, task_spec: str) -> None:
-        with self.changed:
+        with self._guarded():
             self.game.task(task_spec)
             LOG.info("the prompt has the SHA-256 %s", self._digest())
             self.changed.notify_all()
 
     def agent_start(self, observation: Observation) -> Action:
-        with self.changed:
+        with self._guarded():
             self.game.start(observation)
             return self._act()
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
-        with self.changed:
+        with self._guarded():
             self.game.step(reward, observation)
             return self._act()
 
     def agent_end(self, reward: float) -> None:
-        with self.changed:
+        with self._guarded():
             self.game.end(reward)
             self.changed.notify_all()
 
     def agent_cleanup(self) -> None:
-        with self.changed:
+        with self._guarded():
             self.game.rest()
             self.changed.notify_all()
 
     def agent_message(self, message: str) -> str:
-        with self.changed:
+        with self._guarded():
             record = {"settings": asdict(self.options), "prompt": self._digest(), **self.game.record()}
         newest = record.pop("newest")
         if message not in ("record", "answers"):
@@ -457,14 +460,27 @@ class LanguageAgent(Agent):
         return json.dumps(record if message == "record" else newest, ensure_ascii=False)
 
     def agent_metrics(self) -> Mapping[str, float]:
-        with self.changed:
+        with self._guarded():
             return {name: float(count) for name, count in asdict(self.game.counts).items()}
 
     def _act(self) -> Action:
         self.changed.notify_all()
         while (action := self.game.next_action()) is None:
             self.choose()
+            self._check()
         return action
+
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Guard the game; raise as `_check`."""
+        with self.changed:
+            self._check()
+            yield
+
+    def _check(self) -> None:
+        """Raise ConfigError if the game is another agent's now, which this one would disturb."""
+        if self.game.options is not self.options:
+            raise ConfigError("one server serves one session: give others a port", settings=("port",))
 
     def _digest(self) -> str:
         return hashlib.sha256(self.prompt.encode()).hexdigest()

@@ -87,19 +87,24 @@ class MCPAgent(LanguageAgent):
         made = Options(**options)  # type: ignore[arg-type]  # checked by `glue.options.build`
         port = made.port
         former = _NEWEST.get(port)
-        super().__init__(made, former)
+        if port == 0 and former is not None and not former.ended:
+            former = None  # Any free port is another one than that of a session that may be played.
         if find_spec("mcp") is None or find_spec("mcp_types") is None:
             raise ConfigError(
                 "the agent mcp needs version 2 of the protocol's SDK: pip install 'glue-rl[mcp]'"
             )
+        if former is None and port is None and not _has_client():
+            raise ConfigError(
+                "standard input does not come from a client: give mcp a port, or let the client start "
+                "glue-agent mcp",
+                settings=("port",),
+            )
+        super().__init__(made, former)
+        self.ended: bool = False
+        """Whether its session has ended, so that another one may be played at any free port."""
         self.instructed: list[Any] = [] if former is None else former.instructed
         """Objects of the SDK whose `instructions` a client is shown; guarded by `changed`."""
         if former is None:
-            if port is None and not _has_client():
-                raise ConfigError(
-                    "standard input is no client's: give mcp a port, or let the client start glue-agent mcp",
-                    settings=("port",),
-                )
             serve = self._serve_stdio if port is None else partial(self._serve_http, _listen(port))
             self._thread = threading.Thread(target=serve, daemon=True)
             self._thread.start()
@@ -111,13 +116,15 @@ class MCPAgent(LanguageAgent):
         return _HOW
 
     def agent_init(self, task_spec: str) -> None:
-        if _NEWEST[self.options.port] is not self:
-            where = "stdio" if self.options.port is None else f"port {self.options.port}"
-            raise ConfigError(f"{where} serves one session: give others a port", settings=("port",))
         super().agent_init(task_spec)
         with self.changed:
+            self.ended = False
             for instructed in self.instructed:
                 instructed.instructions = self.prompt
+
+    def agent_cleanup(self) -> None:
+        super().agent_cleanup()
+        self.ended = True
 
     def choose(self) -> None:
         self.changed.wait(min(self.game.time_left, 3600.0))
@@ -156,7 +163,8 @@ class MCPAgent(LanguageAgent):
 
 
 _NEWEST: Final[dict[int | None, MCPAgent]] = {}
-"""The newest agent of each address: of a port, or None for stdio. Its game is that of all before it there."""
+"""The newest agent of each address: of a port, or None for stdio. At 0 several may be played at once, each
+at a port of its own; elsewhere its game is that of all before it."""
 
 
 def play(agent: LanguageAgent, tool: str, arguments: Mapping[str, Any]) -> Answer:

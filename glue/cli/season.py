@@ -19,7 +19,7 @@ from glue.errors import ConfigError, GlueError, HubUnreachable
 from glue.hub.config import HUB_KEY_VARIABLE, HUB_VARIABLE, KEY_VARIABLE, SESSION_VARIABLE
 
 if TYPE_CHECKING:
-    from glue.client.season import Progress, Serve
+    from glue.client.season import Progress, Season
     from glue.client.target import Target
 
 _JOIN_SECONDS: Final = 10.0
@@ -43,17 +43,20 @@ def play_agents(file: Path, make: Callable[[], Any], name: str) -> None:
     """Play an attempt, each trial with an agent of `make`, named `name`; print the result.
 
     Raises:
-        GlueError: as `Season.play`.
+        GlueError: as `make` and `Season.play`.
     """
     from glue.client.players import serve_agent
     from glue.keys.certificates import encode
 
+    season = _season(file)
+    ready = [make()]  # before an attempt is granted: an agent that cannot be made costs none
+
     def serve(target: Target, on: Callable[[], bool]) -> None:
-        agent, key = make(), target.key
+        key = target.key
         assert key is not None
         try:
             serve_agent(
-                {target.session: agent},
+                {target.session: ready.pop() if ready else make()},
                 target.hub,
                 key=key.file,
                 hub_key=encode(key.hub),
@@ -65,7 +68,7 @@ def play_agents(file: Path, make: Callable[[], Any], name: str) -> None:
         except GlueError as error:
             say(f"Error: {error}")  # the trial is forfeited, but not the next one
 
-    _play(file, serve)
+    show(season.play(serve, say))
 
 
 def play_programs(file: Path, command: Sequence[str]) -> None:
@@ -97,13 +100,13 @@ def play_programs(file: Path, command: Sequence[str]) -> None:
             while on():
                 clock.sleep(_LOOK_SECONDS)
 
-    _play(file, serve)
+    show(_season(file).play(serve, say))
 
 
-def _play(file: Path, serve: Serve) -> None:
+def _season(file: Path) -> Season:
     from glue.client.season import Season, read_membership
 
-    show(Season(read_membership(file)).play(serve, say))
+    return Season(read_membership(file))
 
 
 def show(result: Progress) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from queue import SimpleQueue
 from threading import Event, Thread
 from typing import Any
 
@@ -113,13 +115,19 @@ def test_a_call_is_answered_however_long_the_game_takes(monkeypatch: pytest.Monk
     assert answer.data["steps"] == 10
 
 
-def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each trial has an agent of its own, and the client of the first plays all of them."""
+@pytest.fixture
+def over_stdio(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let agents be those of a process which a client has started, but whose calls the test makes."""
     monkeypatch.setattr(server, "_NEWEST", {})
     monkeypatch.setattr(server, "_PATIENCE", 0.05)
     monkeypatch.setattr(server, "find_spec", lambda name: True)
     monkeypatch.setattr(server, "_has_client", lambda: True)
     monkeypatch.setattr(MCPAgent, "_serve_stdio", lambda self: None)
+
+
+@pytest.mark.usefixtures("over_stdio")
+def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each trial has an agent of its own, and the client of the first plays all of them."""
     first = agent = MCPAgent()
     for turn in (1, 3):
         with session(agent):
@@ -129,7 +137,7 @@ def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch
         assert play(first, "look", {}).data["over"]  # and no error: the session may not be the last one
         agent = MCPAgent()
         assert "has not begun" in play(first, "look", {}).text
-    with pytest.raises(ConfigError, match="stdio serves one session"):
+    with pytest.raises(ConfigError, match="one server serves one session"):
         first.agent_init(SkeletonEnvironment().env_init())
 
     def interrupted(seconds: float | None) -> None:
@@ -141,12 +149,43 @@ def test_agents_in_turn_are_played_by_one_server(monkeypatch: pytest.MonkeyPatch
         play(first, "look", {})
 
 
+@pytest.mark.usefixtures("over_stdio")
+def test_an_agent_whose_game_another_one_takes_over_does_not_play_on() -> None:
+    """It fails while it waits for its client and in every later call, and leaves the other's game alone."""
+    agent, seen = MCPAgent(), SkeletonEnvironment().env_start()
+    agent.agent_init(SkeletonEnvironment().env_init())
+    ended: SimpleQueue[object] = SimpleQueue()
+
+    def start() -> None:
+        try:
+            ended.put(agent.agent_start(seen))
+        except ConfigError as error:
+            ended.put(str(error))
+
+    Thread(target=start, daemon=True).start()
+    while agent.game.phase is not Phase.CHOOSING:
+        play(agent, "look", {})
+    newest = MCPAgent()
+    assert "one server serves one session" in str(ended.get(timeout=60))
+    newest.agent_init(SkeletonEnvironment().env_init())
+    before = newest.game.view()
+    for late in (
+        partial(agent.agent_step, -1.0, seen),
+        partial(agent.agent_end, 1.0),
+        agent.agent_cleanup,
+        agent.agent_metrics,
+    ):
+        with pytest.raises(ConfigError, match="one server serves one session"):
+            late()
+    assert newest.game.view() == before
+
+
 def test_an_experiment_has_no_client_at_its_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "_NEWEST", {})
     monkeypatch.setattr(server, "find_spec", lambda name: True)
     nothing = os.stat(os.devnull)
     monkeypatch.setattr("os.fstat", lambda descriptor: nothing)
-    with pytest.raises(ConfigError, match="standard input is no client's: give mcp a port"):
+    with pytest.raises(ConfigError, match="standard input does not come from a client: give mcp a port"):
         make_agent("mcp")
 
 

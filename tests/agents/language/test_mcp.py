@@ -106,6 +106,26 @@ def test_over_http_but_not_through_a_page_of_another_site(
         connection.close()
 
 
+def test_sessions_at_any_port_have_servers_of_their_own_but_those_in_turn_share_one(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def urls() -> list[str]:
+        return [line.rpartition(" ")[2] for line in caplog.messages if line.startswith("serving")]
+
+    async def give_up(client: Any) -> None:
+        while not (turn := (await call(client, "look")).structured_content["turn"]):
+            pass
+        given = await call(client, "give_up", turn=turn)
+        assert given.structured_content.items() >= {"turn": 2, "episode": 1}.items()
+
+    agents = MCPAgent(port=0), MCPAgent(port=0)
+    with session(agents[0], MinesEnvironment()), session(agents[1], MinesEnvironment()):
+        for url in urls():
+            talk(url, "auto", give_up)
+    MCPAgent(port=0)
+    assert len({*urls()}) == len(urls()) == 2
+
+
 async def look_to_the_end(client: Any) -> None:
     while True:
         await call(client, "look")

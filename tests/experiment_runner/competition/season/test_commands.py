@@ -78,6 +78,7 @@ def test_an_attempt_that_is_forfeited_ends_in_failure(entrance: Entrance, tmp_pa
     [
         ("glue-agent --season season.toml ./jumper", 2, "there is no program './jumper' here"),
         ("glue-agent --season season.toml my.py:Agent", 2, "glue-agent my.py:Agent --season"),
+        ("glue-agent chat --season season.toml --url x --model m", 2, "url is an address such as"),
         ("glue-compete join http://x --dir b --name Müller", 2, "cannot be a name"),
         ("glue-compete serve file.toml --out run", 2, "file.toml has no table [season]"),
         ("glue-compete serve file.toml --out run --page foo", 2, "--page is HOST:PORT"),
