@@ -409,7 +409,7 @@ class Held(Matches):
             return
         left = {one for one, match in self.matches.items() if match.entrant.name == entrant.name}
         if entrant.name in self._absent:
-            self.matches |= {one: replace(self.matches[one], absent=reason) for one in left}
+            self.matches.update({one: replace(self.matches[one], absent=reason) for one in left})
         self._absent.add(entrant.name)
         self.dispatcher.postpone(left)
 
