@@ -141,7 +141,7 @@ class Game:
     """
 
     def __init__(self, options: GameOptions, clock: Callable[[], float] = time.monotonic) -> None:
-        self.options = options
+        self.options: GameOptions = options
         """Those of the agent that plays."""
         self._clock = clock
         self.texts: Texts | None = None
