@@ -122,7 +122,7 @@ def _player_option(flag: str, role: Role) -> Callable[[_Command], _Command]:
     "plan_file",
     type=shared.FILE,
     metavar="FILE",
-    help="Plan in TOML; numbers, pace and metrics given as options override its own.",
+    help="Plan in TOML; numbers, pace, metrics override it.",
 )
 @shared.pace_options
 @click.option("--in-process", is_flag=True, help="Players as objects, without a hub: fastest.")
