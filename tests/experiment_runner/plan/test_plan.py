@@ -14,6 +14,7 @@ import experiment_runner.plan.file as plan_file
 from experiment_runner.cli.make_plan import make_plan
 from experiment_runner.plan.file import dump_plan, load_plan, parse_plan
 from experiment_runner.plan.limits import PLAYERS
+from experiment_runner.plan.metrics import Keep, MetricsPlan
 from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, describe, differences
 from experiment_runner.plan.user_files import named_code
 from glue.errors import ConfigError, ExperimentError
@@ -142,15 +143,30 @@ paces = st.fixed_dictionaries(
 )
 
 
-@given(st.integers(1, 2**63 - 1), roles, roles, inside, st.one_of(st.just({}), paces))
+readings = st.fixed_dictionaries(
+    {
+        "metrics": st.builds(
+            MetricsPlan,
+            st.integers(0, 99),
+            st.dictionaries(names, st.builds(Keep, st.integers(1, 99), st.booleans()), max_size=2),
+        ),
+        "extras": st.dictionaries(
+            st.sampled_from(["coins", "left.speed"]), st.sampled_from(["last", "mean", "max"])
+        ),
+    }
+)
+
+
+@given(st.integers(1, 2**63 - 1), roles, roles, inside, st.one_of(st.just({}), paces), st.just({}) | readings)
 def test_dumped_plan_reads_back_equal(
     episodes: int,
     environments: tuple[RoleSweep, ...],
     agents: tuple[RoleSweep, ...],
     inside: Any,
     pace: dict[str, Any],
+    read: dict[str, Any],
 ) -> None:
-    plan = Plan(episodes=episodes, environments=environments, agents=agents, inside=inside, **pace)
+    plan = Plan(episodes=episodes, environments=environments, agents=agents, inside=inside, **pace, **read)
     back = parse_plan(dump_plan(plan))
     assert back == plan
     assert dump_plan(back) == dump_plan(plan)  # true, 1 and 1.0 are equal, but different options
