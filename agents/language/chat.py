@@ -65,7 +65,7 @@ class Endpoint:
             self._headers["Authorization"] = f"Bearer {key}"
 
     def post(self, body: Mapping[str, Any], seconds: float) -> Reply:
-        """Return what the endpoint answers.
+        """Return the endpoint's reply.
 
         Args:
             body: of the request.
@@ -83,11 +83,12 @@ class Endpoint:
             if (reply := read_reply(content)) is not None:
                 return reply
             lack = ", not with JSON" if content is None else ", with no text at choices[0].message.content"
-        words = json.dumps(content, ensure_ascii=False)
-        if content is None:
-            words = answer.data.decode("utf-8", "replace")
         if 300 <= status < 400:
             words = f"a redirection to {answer.headers.get('Location')}, which is not followed"
+        elif content is None:
+            words = answer.data.decode("utf-8", "replace")
+        else:
+            words = json.dumps(content, ensure_ascii=False)
         failure = EndpointBusy if status == 429 or status >= 500 else EndpointFailed
         raise failure(self._failed(f"answered {status}{lack}: {words}"))
 

@@ -123,14 +123,16 @@ class Texts:
 
     def seen(self, observation: Observation) -> str:
         """Return an observation as text: the environment's picture in characters, or numbers."""
-        ints, doubles = observation.ints[:_MOST_SEEN].tolist(), observation.doubles[:_MOST_SEEN].tolist()
-        numbers = " ".join([*map(str, ints), *(f"{number:.6g}" for number in doubles)])
-        text = f"{numbers}\n{observation.chars[:_MOST_SEEN].decode('latin-1')}".strip("\n")
+        drawn = self._drawn(observation)
+        text = printable(_in_numbers(observation) if drawn is None else drawn)
+        return text if len(text) <= _MOST_SEEN else f"{text[:_MOST_SEEN]}..."
+
+    def _drawn(self, observation: Observation) -> str | None:
+        """Return the environment's picture, if there is one."""
         if self._picture is not None and self._spec.observations.check(observation) is None:
             with suppress(Exception):  # It may be the drawing of another environment of this name.
-                text = "\n".join(self._picture(observation, False))
-        text = printable(text)
-        return text if len(text) <= _MOST_SEEN else f"{text[:_MOST_SEEN]}..."
+                return "\n".join(self._picture(observation, False))
+        return None
 
     def image(self, observation: Observation) -> bytes | None:
         """Return a picture of an observation, as PNG; None if the environment has none.
@@ -167,6 +169,13 @@ class Texts:
             yield "Not every action is legal in every turn; the answer to an illegal one says which are."
         yield f"Legal actions are {'' if listed else 'not '}listed each time."
         yield "The game waits while you choose, unless it goes by a clock; where time is limited, you see it."
+
+
+def _in_numbers(observation: Observation) -> str:
+    """Return an observation as its numbers and characters."""
+    ints, doubles = observation.ints[:_MOST_SEEN].tolist(), observation.doubles[:_MOST_SEEN].tolist()
+    numbers = " ".join([*map(str, ints), *(f"{number:.6g}" for number in doubles)])
+    return f"{numbers}\n{observation.chars[:_MOST_SEEN].decode('latin-1')}".strip("\n")
 
 
 def _enumerated(space: Space) -> dict[str, Action]:

@@ -1,4 +1,4 @@
-"""What a season tells of its tasks, for trying an agent at home: not its secret levels.
+"""The tasks as a season tells them, for trying an agent at home: without its secret levels.
 
 It is not trusted there: only environments that are installed, by their names, are played.
 """
